@@ -1,6 +1,6 @@
-# demo · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · robots · cluster · object-store · model-server · reader-peers · scale · report · clean.
+# demo · demo-arm · test · kernels · test-slow · fuzz · lint · docs · bench · hidden-effects · arms · robots · cluster · object-store · model-server · reader-peers · scale · report · clean.
 # Each makes .venv by itself when it is missing.
-.PHONY: demo test kernels test-slow fuzz lint docs bench hidden-effects arms robots cluster object-store model-server reader-peers scale report clean
+.PHONY: demo demo-arm test kernels test-slow fuzz lint docs bench hidden-effects arms robots cluster object-store model-server reader-peers scale report clean
 .DEFAULT_GOAL := demo
 # Bytecode is kept even where the environment says otherwise: tests start many processes, and each would compile sysid again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -13,6 +13,11 @@ WORKSPACE ?= workspace
 
 demo: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) demo
+
+# HIDE="friction:joint2=6 delay:joint3=0.05" hides that instead.
+HIDE ?=
+demo-arm: $(READY)
+	$(BIN)/sysid --workspace $(WORKSPACE) demo --arm $(addprefix --hide ,$(HIDE))
 
 # Whole files side by side; then, alone, the tests that ask for an answer within milliseconds.
 JOBS ?= $(shell nproc)

@@ -8,7 +8,7 @@ ingested, the gap is named, and controller and kinematics of the repaired plant 
 The truth is read after the last round. story.rrd in the folder of a machine shows its first and its last round (Rerun). What
 the work folder has of a machine is not run again (rounds.json, compared.json). With ``--excitation`` every round also makes
 the recordings that the gap workflow of the round before proposed, and no other controller is run. With ``--publish`` the result
-goes to reports/loop/ and the tables to reports/loop/README.md and README.md; excitation has its own file and table.
+goes to reports/loop/ and the tables to reports/loop/README.md; excitation has its own file and table.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main(seeds: tuple[int, ...], work: Path, publish: bool, excitation: bool = F
         return report
     write_tables(PAGE, text, f"{PIPELINE}{flag}")
     if not excitation:
-        write_tables(ROOT / "README.md", summary(result), PIPELINE)
+        write_tables(PAGE, summary(result), f"{PIPELINE}, all controllers")
     return report
 
 

@@ -9,48 +9,40 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import sysid
 from sysid.cli.gap_tables import show_gap, show_repair, show_world
 from sysid.cli.network_tables import show_errors
 from sysid.cli.output import PipelineProgress, Printer, rerun_command, write_json
-from sysid.datasets import ingest
 from sysid.extras import install_command, installed
-from sysid.gap import find_gap
-from sysid.networks import PAPER_MAX, Model, NetworkRecipe, fit_actuator, fit_forward
-from sysid.reports import write_report
-from sysid.validate import ValidationReport, validate_model
+from sysid.networks import PAPER_MAX, NetworkRecipe
+from sysid.validate import ValidationReport
 from sysid.view import write_rerun
-from sysid.workspace import open_workspace
 
+KINDS: tuple[Literal["actuator", "forward"], ...] = ("actuator", "forward")
 AUTOLOG = Path(__file__).resolve().parents[1] / "datasets" / "autolog"
 
 
 def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = None) -> Path:
     """Run the whole line on ``logs`` and return the path of ``<workspace>/demo/result.json``."""
     recipe = recipe or NetworkRecipe()  # the paper's
-    place, out = open_workspace(workspace), Printer()
+    place, out = sysid.open(workspace), Printer()
     folder = place.root.make("demo")
     step = PipelineProgress(out)
 
     with step("ingest") as progress:
-        dataset = ingest(logs, workspace, progress=progress)
-    networks: list[Model] = []
+        dataset = sysid.ingest(logs, place, progress=progress)
+    networks: list[sysid.FittedNetwork] = []
     if installed("torch"):
-        with step("fit actuator") as progress:
-            networks.append(fit_actuator(dataset, recipe, progress))
-        with step("fit forward") as progress:
-            networks.append(fit_forward(dataset, recipe, progress))
-    with step("validate"):
-        reports = [validate_model(network, dataset, recipe=recipe) for network in networks]
-        versions = [place.add_network(dataset, n, recipe, report) for n, report in zip(networks, reports, strict=True)]
-    with step("simulate"):
-        plant = place.plant(dataset)  # machine.toml, its URDF, and the actuator networks as linkages
-    with step("gap") as progress:
-        gap = find_gap(dataset, plant, place.models, add=True, progress=progress)
-        kept = place.keep_gap(dataset, gap).parent
+        for kind in KINDS:
+            with step(f"fit {kind}") as progress:
+                networks.append(sysid.fit(kind, dataset, place, recipe=recipe, progress=progress))
+    with step("gap") as progress:  # the simulation: machine.toml, its URDF, and the actuator networks as linkages
+        found = sysid.find_gap(dataset, workspace=place, progress=progress)
     with step("report"):
-        page = write_report(folder / "report.html", place.report_inputs(dataset))
+        page = sysid.report(dataset, folder / "report.html", place)
+    gap, reports = found.result, [network.report for network in networks if network.report is not None]
     film = None
     if installed("rerun"):
         with step("view"):
@@ -64,11 +56,11 @@ def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = N
     show_gap(out, gap, dataset)
     show_world(out, gap, dataset)
     if gap.plant_after:
-        show_repair(out, gap, dataset, kept, workspace)
+        show_repair(out, gap, dataset, place.gap_folder(dataset), workspace)
     result = {
         "schema": 1,
         "dataset": dataset.reference,
-        "models": [version.reference for version in versions],
+        "models": [network.version for network in networks],
         "networks": network_errors(reports),
         "gap": gap.to_json(),
         "seconds": step.seconds,

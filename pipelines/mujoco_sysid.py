@@ -25,10 +25,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from committed import markdown, provenance, write_result, write_tables
-from sysid.cli.init_from import Choices, drafted_files
 from sysid.cli.output import Printer
 from sysid.cores import cores
 from sysid.datasets import Dataset, Recording
+from sysid.datasets.robot_files import Choices, drafted_files
 from sysid.errors import SettingsError
 from sysid.gap import find_gap
 from sysid.gap.adapters.mujoco.force_repair import is_force_driven, open_force_model, write_force_model

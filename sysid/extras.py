@@ -13,6 +13,7 @@ EXTRAS: dict[str, str] = {
     "gymnasium": "train",
     "rerun": "view",
     "pybullet": "world",
+    "pybullet_data": "world",
     "can": "runner",
     "cantools": "runner",
     "serial": "runner",

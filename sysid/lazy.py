@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from types import ModuleType
 from typing import Any
 
 
@@ -24,3 +25,30 @@ def lazy_names(package: str, modules: Mapping[str, Sequence[str]]) -> Callable[[
         return value
 
     return get
+
+
+def functions_beside_packages(package: str, functions: Mapping[str, str]) -> None:
+    """Make sub-packages callable: they are called as the function of the same name.
+
+    Without this, importing ``sysid.export`` would hide the function ``sysid.export`` of the package ``sysid``.
+
+    Args:
+        functions: name of a sub-package and of the function → the module that defines the function.
+    """
+
+    class CallablePackage(ModuleType):
+        def __call__(self, *args: Any, **kwargs: Any) -> Any:
+            return function_of(self.__name__.rpartition(".")[2])(*args, **kwargs)
+
+    class Package(ModuleType):
+        def __setattr__(self, name: str, value: object) -> None:
+            if name in functions:
+                if not isinstance(value, ModuleType):
+                    return
+                value.__class__ = CallablePackage  # at the import of the sub-package
+            super().__setattr__(name, value)
+
+    def function_of(name: str) -> Any:
+        return getattr(importlib.import_module(f"{package}.{functions[name]}"), name)
+
+    sys.modules[package].__class__ = Package

@@ -11,6 +11,11 @@ from sysid.errors import SettingsError
 LOCAL = Path("./workspace")
 
 
+def default_location() -> str:
+    """The location of the workspace that is not named: ``SYSID_WORKSPACE``, else ``./workspace``."""
+    return os.environ.get("SYSID_WORKSPACE", "./workspace")
+
+
 def checked_location(location: str | os.PathLike[str]) -> str:
     """``location`` as text; the folder need not exist.
 

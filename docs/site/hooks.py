@@ -23,6 +23,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[2]
 #: Packages of the reference: module → what it is for.
 PACKAGES = {
+    "sysid.front.gap": "what `sysid.find_gap` returns",
     "sysid.workspace": "datasets, models and results of one folder",
     "sysid.datasets": "ingest logs, store and load dataset versions",
     "sysid.machine": "the description of a machine",
@@ -47,6 +48,8 @@ UNSEARCHED = ("reports", "decisions/", "changelog", "effects/gallery")
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 #: A colour of a terminal.
 ANSI = re.compile(r"\x1b\[[0-9;]*m")
+#: A picture for a dark page.
+SOURCE = re.compile(r'(srcset=")([^"]+)(")')
 #: A role of a docstring in HTML.
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
 #: A block of formulas.
@@ -90,7 +93,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return markdown
     place = page.file.src_uri
     parts = CODE.split(markdown)
-    parts[::2] = [LINK.sub(lambda match: match[1] + mapped(match[2], source, place) + match[3], part) for part in parts[::2]]
+    for pattern in (LINK, SOURCE):
+        parts[::2] = [pattern.sub(lambda match: match[1] + mapped(match[2], source, place) + match[3], part) for part in parts[::2]]
     return "".join(parts)
 
 

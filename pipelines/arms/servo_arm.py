@@ -19,7 +19,7 @@ import pandas as pd
 
 from arms.case import Case, Hidden, noisy
 from arms.motion import fourier
-from sysid.cli.init_from import Choices, drafted_files
+from sysid.datasets.robot_files import Choices, drafted_files
 
 Array = npt.NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What the checks of a dataset say on the console (flags, findings, what the roles lack), and the stop before a search."""
+"""What the checks of a dataset say on the console (flags, findings, what the roles lack), and before a search."""
 
 from __future__ import annotations
 
@@ -85,19 +85,16 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
     return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}
 
 
-def checked(out: Printer, dataset: Dataset, accept: Sequence[str]) -> None:
-    """Print the findings, and stop where a severe one is not accepted.
+def show_checked(out: Printer, left: Sequence[Finding], findings: Sequence[Finding]) -> None:
+    """Print the findings before a search: those that stop it, else one line each.
 
-    Raises:
-        InputError: severe findings that ``accept`` does not name, or a pattern without a finding.
+    Args:
+        left: severe ones that are not accepted.
+        findings: all.
     """
-    from sysid.datasets.checks.finding import not_accepted, refuse_severe
-    from sysid.datasets.checks.run import check_plausibility
-
-    findings = check_plausibility(dataset)
-    left = not_accepted(findings, accept)
     show_findings(out, left)
-    refuse_severe(left, (), dataset.reference)
+    if left:
+        return
     for finding in findings:
         word = "accepted" if finding.severity == "severe" else "notice"
         out.entry(f"{word}: {', '.join(finding.keys)}: {finding.lines[0]}")

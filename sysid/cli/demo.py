@@ -1,55 +1,50 @@
-"""``sysid demo``: runs ``pipelines/first_look.py`` of the checkout that this package is installed from, else of the wheel."""
+"""``sysid demo``: runs a pipeline of the checkout that this package is installed from, else of the wheel."""
 
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from types import ModuleType
 
 import click
 
 from sysid.cli.output import json_option, write_json_text
+from sysid.errors import SettingsError
 
-#: The root of a checkout, and the part of a wheel that holds the same files: the pipeline and its logs.
-CHECKOUT = Path(__file__).resolve().parents[2]
-SHIPPED = Path(__file__).resolve().parents[1] / "shipped"
-PIPELINE = "pipelines/first_look.py"
+PIPELINE, ARM = "pipelines/first_look.py", "pipelines/demo_arm.py"
 
 
 @click.command()
+@click.option("--arm", is_flag=True, help="An electric arm instead, made wrong in MuJoCo in three ways.")
+@click.option(
+    "--hide",
+    multiple=True,
+    metavar="KIND:JOINT=VALUE",
+    help="With --arm: hide this instead, as friction:joint2=6, mass:joint4=1.5 (times the model's); may be repeated.",
+)
 @json_option
 @click.pass_obj
-def demo(workspace: str, json_file: str | None) -> None:
-    """Run the whole workflow on the shipped logs of a hydraulic crane.
+def demo(workspace: str, arm: bool, hide: tuple[str, ...], json_file: str | None) -> None:
+    """Run the whole workflow on the shipped logs of a hydraulic crane, or on logs of a simulated arm.
 
-    Networks are fitted where torch is installed, and a Rerun recording is written where rerun-sdk is.
+    Networks are fitted where torch is installed, and a Rerun recording is written where rerun-sdk is. --arm needs the packages
+    mujoco-core and pybullet.
     """
-    module = _load(find_pipeline(CHECKOUT, SHIPPED))
-    result: Path = module.main(Path(workspace))
+    from sysid.front import shipped
+
+    if hide and not arm:
+        raise SettingsError("sysid demo", "--hide without --arm", "both, or neither", "Add --arm.")
+    module = _load(shipped.shipped_file(ARM if arm else PIPELINE, shipped.CHECKOUT, shipped.SHIPPED))
+    result: Path = module.main(Path(workspace), hide or module.HIDDEN) if arm else module.main(Path(workspace))
     write_json_text(json_file, result.read_text("utf-8"))
 
 
-def find_pipeline(checkout: Path, shipped: Path) -> Path:
-    """The pipeline of a checkout, else of the wheel.
-
-    Raises:
-        SettingsError: neither is there.
-    """
-    from sysid.errors import SettingsError
-
-    # The folder of installed packages may contain another package named `pipelines`.
-    if (checkout / "pyproject.toml").is_file() and (checkout / PIPELINE).is_file():
-        return checkout / PIPELINE
-    if (shipped / PIPELINE).is_file():
-        return shipped / PIPELINE
-    remedy = "Install the wheel again, or clone the repository and type `make demo`."
-    raise SettingsError("sysid demo", f"no {PIPELINE} in {checkout} or {shipped}", "the files of the wheel", remedy)
-
-
 def _load(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("first_look", path)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # dataclasses look their module up there
     spec.loader.exec_module(module)
     return module

@@ -44,20 +44,18 @@ def export(
     out = Printer(json_file)
     with progress_bar("export") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
-        from sysid.errors import StoreError
-        from sysid.export.export import check_folder, export_plant, target_named
+        from sysid.export.export import check_folder, target_named
+        from sysid.front import files
         from sysid.workspace import open_workspace
 
-        chosen = target_named(target)
+        target_named(target)
         check_folder(folder)
         workspace = open_workspace(location)
-        source = dataset or workspace.models.find(reference).lineage.get("dataset")
-        if not isinstance(source, str):
-            raise StoreError(f"model {reference}", "no dataset in its lineage", "--dataset NAME, whose recordings are replayed")
-        recorded = workspace.dataset(source)
-        plant = workspace.plant(recorded, reference)
-        progress(0.1, "writing and replaying")
-        made = export_plant(plant, recorded, chosen, folder, force=force, samples=samples, seed=seed)
+        recorded = files.replayed_dataset(workspace, reference, dataset)
+        made = files.export(
+            reference, target, folder, dataset=recorded, workspace=workspace, samples=samples, seed=seed, force=force,
+            progress=progress,
+        )  # fmt: skip
     _show(out, made, recorded.units)
     write_json(json_file, made.to_json())
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +13,9 @@ from sysid.cli.network_tables import show_calibration, show_directions, show_err
 from sysid.cli.output import Printer, json_option, progress_bar, write_json
 
 if TYPE_CHECKING:
-    from sysid.networks import Calibration, Model, NetworkRecipe
+    from sysid.front.networks import FittedNetwork, Kind
+    from sysid.networks import NetworkRecipe
     from sysid.progress import Progress
-    from sysid.validate import ValidationReport
 
 
 @click.command()
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
 @click.pass_obj
 def fit(
     location: str,
-    kind: str,
+    kind: Kind,
     references: tuple[str, ...],
     recipe: Path | None,
     workers: int,
@@ -47,14 +45,14 @@ def fit(
     The networks of one dataset are fitted here, on all cores; several datasets are tasks, with the same networks. An
     interrupted fit (Ctrl-C, SIGTERM, power) resumes when the same command is repeated.
     """
+    from sysid.front import networks
     from sysid.networks import load_recipe
 
     settings = load_recipe(recipe)
     out = Printer(json_file)
     if len(references) == 1:
-        with progress_bar(f"fit {kind}") as progress:
-            found = _fitted(location, kind, references[0], settings, progress)
-        _show(out, found)
+        found = networks.fit(kind, references[0], location, recipe=settings)
+        _show(out, found, location)
         write_json(json_file, {"schema": 1, **found.to_json()})
         return
     from sysid.execution import open_executor
@@ -67,61 +65,16 @@ def fit(
     write_json(json_file, {"schema": 1, "fits": results})
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """A registered network with its evaluation; ``not_evaluated``: why there is none."""
-
-    version: str
-    dataset: str
-    folder: str
-    model: Model
-    report: ValidationReport | None
-    not_evaluated: str
-    seconds: float
-
-    @property
-    def calibration(self) -> Calibration | None:
-        from sysid.networks import Calibration, StructuredForward
-
-        structure = self.model.structure if isinstance(self.model, StructuredForward) else None
-        return structure if isinstance(structure, Calibration) else None
-
-    def to_json(self) -> dict[str, Any]:
-        result: dict[str, Any] = {"model": self.version, "dataset": self.dataset, "seconds": self.seconds}
-        if self.calibration is not None:
-            result["calibration"] = self.calibration.to_json()
-        return {**result, "validation": self.report.to_json() if self.report is not None else None}
-
-
-def _fitted(location: str, kind: str, reference: str, settings: NetworkRecipe, progress: Progress) -> _Fit:
-    from sysid.errors import ExcitationError
-    from sysid.networks import Checkpoints, fit_actuator, fit_forward, fit_history, fit_motion
-    from sysid.validate import validate_model
-    from sysid.workspace import open_workspace
-
-    workspace = open_workspace(location)
-    dataset = workspace.dataset(reference)
-    begin = time.perf_counter()
-    actuator = fit_history if settings.actuator.model == "history" else fit_actuator
-    model = {"actuator": actuator, "motion": fit_motion, "forward": fit_forward}[kind](
-        dataset, settings, progress, Checkpoints(workspace.root.path("training"))
-    )
-    seconds = time.perf_counter() - begin
-    not_evaluated = ""
-    try:
-        report = validate_model(model, dataset, recipe=settings)
-    except ExcitationError as reason:
-        report, not_evaluated = None, str(reason)
-    version = workspace.add_network(dataset, model, settings, report)
-    return _Fit(version.reference, dataset.reference, str(workspace.folder), model, report, not_evaluated, seconds)
-
-
-def _task(location: str, kind: str, reference: str, settings: NetworkRecipe, progress: Progress) -> dict[str, Any]:
+def _task(location: str, kind: Kind, reference: str, settings: NetworkRecipe, progress: Progress) -> dict[str, Any]:
     """Task: the fit of one dataset, registered, as JSON."""
-    return _fitted(location, kind, reference, settings, progress).to_json()
+    from sysid.front import networks
+
+    return networks.fit(kind, reference, location, recipe=settings, progress=progress).to_json()
 
 
-def _show(out: Printer, found: _Fit) -> None:
+def _show(out: Printer, found: FittedNetwork, location: str) -> None:
+    from sysid.location import local_folder
+
     if found.calibration is not None:
         show_calibration(out, found.calibration)
     if found.report is not None:
@@ -129,7 +82,7 @@ def _show(out: Printer, found: _Fit) -> None:
         show_directions(out, found.report)
     else:
         out.line(f"Not evaluated: {found.not_evaluated}")
-    out.line(f"{found.version} in {found.folder} ({found.seconds:.1f} s)")
+    out.line(f"{found.version} in {local_folder(location)} ({found.seconds:.1f} s)")
 
 
 def _rows(result: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:

@@ -88,9 +88,7 @@ def gap(
     json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
-    from sysid.cli.checks import checked
-    from sysid.datasets import Store
-    from sysid.datasets.checks.roles import check_needs
+    from sysid.cli.checks import show_checked
     from sysid.errors import SettingsError
     from sysid.execution import open_executor
 
@@ -111,39 +109,28 @@ def gap(
     if mjcf is not None and add and out_file is None:
         out_file = repaired_path(mjcf)
     out = Printer(json_file)
-    dataset = Store(location).load(reference)
-    check_needs(dataset)  # before anything is compiled
-    checked(out, dataset, accept)
-    executor = open_executor(cluster, workers, trusted_network=trusted_network)
     with progress_bar("gap") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
-        from sysid.gap import SimulatorAdapter, find_gap
-        from sysid.gap.experiment import Planning
-        from sysid.gap.search_tasks import search_tasks
+        from sysid.front.gap import find_gap
+        from sysid.gap import SimulatorAdapter
         from sysid.plant import Plant
         from sysid.reports import write_report
-        from sysid.workspace import open_workspace
 
-        workspace = open_workspace(location)
-        if simulator is not None:
-            tested = open_simulator(simulator, dataset, assets, out.line)
-        else:
-            tested = workspace.plant(dataset, plant)
-        folder = None if localise else workspace.gap_folder(dataset)
-        result = find_gap(
-            dataset,
-            tested,
-            registry=workspace.models,
-            add=add and mjcf is None,
-            world=world,
-            localise_only=localise,
-            carry=carry,
-            forms=forms,
-            progress=progress,
-            planning=Planning(),
-            tasks=search_tasks(location, executor) if isinstance(tested, Plant) else None,
-            keep=None if localise else partial(workspace.keep_gap, dataset),
-        )
+    found = find_gap(
+        reference,
+        partial(open_simulator, simulator, assets=assets, tell=out.line) if simulator is not None else plant,
+        location,
+        add=add and mjcf is None,
+        world=world,
+        localise=localise,
+        carry=carry,
+        forms=forms,
+        accept=accept,
+        on_findings=partial(show_checked, out),
+        executor=open_executor(cluster, workers, trusted_network=trusted_network),
+    )
+    result, dataset, workspace, tested = found.result, found.dataset, found.workspace, found.tested
+    folder = None if localise else workspace.gap_folder(dataset)
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:
         out.line(f"`{plant}` means {tested.reference}.")
     linked = tested.linkages if isinstance(tested, Plant) else dataset.machine.axis_names

@@ -10,10 +10,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from sysid.cli.output import command
-from sysid.display import NOTHING, percent, quantity
+from sysid.display import percent, quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from sysid.cli.output import Printer
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sysid.figures import ParameterFigure
     from sysid.gap import GapResult
     from sysid.gap.repeatability import RepeatedEffect
-    from sysid.gap.result import NearMissResult, WrittenEffect
+    from sysid.gap.result import NearMissResult
     from sysid.machine import EffectKey, Machine
 
 #: Names of recordings in a sentence.
@@ -35,7 +35,6 @@ SHARE = (
     "replace each other (dead time and lag) have small shares each, even if their sum is large."
 )
 LINKS = "Small errors of mass, first moment and inertia are adjusted together and have no names of their own: links of"
-KINDS = {"named": "named", "tied": "one of a tie", "adjusted": "no name"}
 
 
 def show_gap(out: Printer, result: GapResult, dataset: Dataset, verbose: bool = False) -> None:
@@ -89,17 +88,12 @@ def show_missing(out: Printer, result: GapResult) -> None:
 
 def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """Errors of every stage, their shares of the whole gap, and the conditions of the largest."""
-    from sysid.figures import times
+    from sysid.front.gap import localised_table
     from sysid.reports.sections.where import above_floor, listed_shares, maps_of, sentence
     from sysid.reports.words import owner_name, signal_name, stage_name
 
     out.line(f"{result.headline}  [{result.verdict}]")
-    rows = []
-    for item in sorted(result.localised, key=lambda item: -item.stage_rmse / max(item.noise_floor, 1e-300)):
-        unit = dataset.units.get(item.signal)
-        error, floor, chain = (quantity(value, unit) for value in (item.stage_rmse, item.noise_floor, item.free_run_rmse))
-        rows.append((item.stage, item.signal, error, floor, times(item.stage_rmse, item.noise_floor), chain))
-    out.table(("stage", "signal", "error", "noise floor", "times", "whole chain"), rows, right=(2, 3, 4, 5))
+    out.show(localised_table(result, dataset))
     shares = []
     for end, unit, of_end, _ in listed_shares(result, dataset.units):
         for number, share in enumerate(of_end):
@@ -130,29 +124,17 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     if not result.written:
         return
     from sysid.effects import inertial_error
-    from sysid.reports.result_figures import parameters_of
+    from sysid.front.gap import written_table
     from sysid.reports.words import effect_place
 
-    machine = dataset.machine
-    rows: list[tuple[str, ...]] = []
     links = [item.target for item in result.written if item.name == inertial_error.EFFECT.name]
     shown = [item for item in result.written if item.name != inertial_error.EFFECT.name]
-    for item in shown:
-        title = effect_place(item.name, item.target, dataset.machine)
-        share = percent(item.gap_share) if item.gap_share is not None else NOTHING
-        figures = parameters_of(item.name, item.target, item.parameters, machine, dataset.units, item.interval95, item.before)
-        for number, figure in enumerate(figures):
-            known = f" (was {figure.before_text})" if figure.before is not None else ""
-            first = (title, share, KINDS[item.kind]) if number == 0 else ("", "", "")
-            rows.append((first[0], f"{figure.label} {figure.text}{known}", figure.interval, *first[1:]))
-        for key in _undetermined(result, item):
-            rows.append(("", f"{key.replace('_', ' ')} not determined", "", "", ""))
     count = f"{len(result.written)} effect{'' if len(result.written) == 1 else 's'}"
     if result.plant_after:
         out.line(f"Written into plant {result.plant_after}: {count}")
     else:
         out.line(f"A repair (--add) would write {count}:")
-    out.table(("effect", "value", "95 % interval", "share", "row"), rows, right=(3,))
+    out.show(written_table(result, dataset))
     out.entry(SHARE)
     if links:
         out.entry(f"{LINKS} {', '.join(links)}.")
@@ -251,12 +233,6 @@ def plain_reason(why: str) -> str:
 
     known = {str(reason): reason.plain for reason in Reason}
     return known.get(why, why) or "it was fitted beside the others"
-
-
-def _undetermined(result: GapResult, item: WrittenEffect) -> Iterator[str]:
-    for effect in result.effects:
-        if (effect.name, effect.target, effect.side) == (item.name, item.target, item.side):
-            yield from effect.undetermined
 
 
 def show_repair(

@@ -10,7 +10,7 @@ import click
 
 from sysid.cli.dataset_tables import show_dataset
 from sysid.cli.executor_options import cluster_option, workers_option
-from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
+from sysid.cli.output import Printer, command, json_option, write_json
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -77,26 +77,21 @@ def ingest(
     for option, value in (("--draft", draft), ("--reader", reader), ("--dbc", dbc)):
         if value is not None:
             raise SettingsError(option, "given without --inspect", "both, or neither", "Add --inspect.")
-    if to is not None and name is not None:
-        raise SettingsError("--name", f"{name!r} with --append", "one of them", "The new version keeps the name.")
-    if role is not None and to is None:
-        raise SettingsError("--role", "given without --append", "both, or neither", "Name roles in the recipe's [splits].")
-    from sysid import datasets
     from sysid.cli.checks import show_findings, show_roles
     from sysid.cli.datasets import describe
+    from sysid.datasets import Store
     from sysid.datasets.checks.run import check_plausibility
     from sysid.execution import open_executor
+    from sysid.front import logs
 
     apart = cluster is not None or workers > 1
     executor = open_executor(cluster, workers, trusted_network=trusted_network) if apart else None
-    store = datasets.Store(workspace)
+    store = Store(workspace)
     before = store.manifest(to)["version"] if to is not None else 0
     begin = time.perf_counter()
-    with progress_bar("ingest") as progress:
-        if to is not None:
-            dataset = datasets.append(list(paths), workspace, to, machine, recipe, role, progress, executor)
-        else:
-            dataset = datasets.ingest(list(paths), workspace, machine, recipe, name, progress, executor)
+    dataset = logs.ingest(
+        paths, workspace, machine=machine, recipe=recipe, name=name, append_to=to, role=role, executor=executor
+    )
     seconds = time.perf_counter() - begin
     out = Printer(json_file)
     show_dataset(out, dataset)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from sysid.cli.output import Printer, command, progress_bar, write_json
 from sysid.display import size_text
-from sysid.errors import InputError, SettingsError
+from sysid.errors import SettingsError
 from sysid.files import written_whole
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def inspect_paths(
 
     from sysid.datasets.draft import default_machine, draft_recipe, missing_strokes
     from sysid.datasets.layouts import alike
-    from sysid.logs.inspection import inspect_file
+    from sysid.logs.inspection import inspect_file, log_files
     from sysid.machine import load_machine
 
     if draft is not None and draft.exists():
@@ -90,36 +90,6 @@ def _logs_entry(paths: Sequence[Path], draft: Path | None) -> str | None:
         return None
     relative = Path(os.path.relpath(paths[0], draft.parent)).as_posix()
     return None if relative == "." or relative.startswith("..") else relative
-
-
-def log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
-    """The log files in ``paths`` and one folder below; with a named ``reader``, also those that only it reads."""
-    from sysid.logs.lerobot import data_files, is_lerobot
-    from sysid.logs.readers import NAMED, NO_LOGS, is_log
-
-    found: list[Path] = []
-    for path in paths:
-        if not path.exists():
-            raise InputError(path, "no such file or folder", "a log file or a folder of them", "Check the path.")
-        if path.is_file():
-            found.append(path)
-            continue
-        if is_lerobot(path):
-            found += data_files(path)
-            continue
-        entries = [entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file()]
-        below = [entry for entry in entries if is_log(entry) or NAMED.get(entry.suffix.lower(), "") == reader]
-        if not below:
-            known = next((entry for entry in entries if entry.suffix.lower() in NO_LOGS), None)
-            expected, remedy = "log files in it or one folder below", "Name the file itself."
-            if known is not None:
-                what, remedy = NO_LOGS[known.suffix.lower()]
-                named = NAMED.get(known.suffix.lower())
-                remedy = f"Inspect with --reader {named} where it is a log." if named is not None else remedy
-                raise InputError(path, f"no log files; {known.name} is {what}", expected, remedy.format(name=known.name))
-            raise InputError(path, "no log files", expected, remedy)
-        found += sorted(below)
-    return list(dict.fromkeys(found))
 
 
 def _show(out: Printer, group: Sequence[FileSummary]) -> None:

@@ -9,8 +9,8 @@ from string import Template
 
 import click
 
-from sysid.cli.init_from import Choices, drafted_apart
 from sysid.cli.output import Printer, command, json_option, write_json
+from sysid.datasets.robot_files import Choices, drafted_apart
 from sysid.errors import SettingsError
 from sysid.names import listed, slug
 from sysid.root import Root

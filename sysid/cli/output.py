@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sysid.cli.progress_bar import progress_bar as progress_bar
 from sysid.errors import SettingsError
 from sysid.files import json_text, written_whole
 from sysid.foreign import escaped_json, visible
 from sysid.progress import Progress
+from sysid.progress_bar import progress_bar as progress_bar
 
 if TYPE_CHECKING:
     from sysid.figures import Table

@@ -16,17 +16,16 @@ from sysid.cli.output import Printer, command, json_option, write_json
 @click.pass_obj
 def report(location: str, reference: str | None, path: Path | None, json_file: str | None) -> None:
     """Write the HTML report of a dataset: one file that works without a network."""
-    from sysid.reports import write_report
+    from sysid.front import files
     from sysid.workspace import open_workspace
 
     workspace = open_workspace(location)
     dataset = workspace.dataset(reference)
-    inputs = workspace.report_inputs(dataset)
-    path = path or workspace.output("report.html", dataset)
-    write_report(path, inputs)
+    path = files.report(dataset, path, workspace)
+    gap = workspace.gap(dataset)
     out = Printer(json_file)
     out.line(f"{path}  ({path.stat().st_size / 1e6:.1f} MB)")
-    if inputs.gap is None:
+    if gap is None:
         out.line(f"The report has no comparison with a simulation yet: {command('gap', dataset.name, workspace=location)}")
-    verdict = inputs.gap.verdict if inputs.gap is not None else None
+    verdict = gap.verdict if gap is not None else None
     write_json(json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "verdict": verdict})

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from sysid.cli.ingest_inspect import log_files
 from sysid.cli.init import KINDS
-from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
+from sysid.cli.output import Printer, command, json_option, write_json
 from sysid.errors import SettingsError
-from sysid.numbers import Positive, number
-from sysid.root import Root
 
 if TYPE_CHECKING:
     from sysid.datasets.drafting import Description
-    from sysid.machine import Machine
 
 
 @click.command()
@@ -76,32 +73,27 @@ def start(
     from sysid.cli.gap_tables import show_responses
     from sysid.cli.ingest import ingest
     from sysid.datasets import Store
+    from sysid.front import logs
     from sysid.machine import load_machine
-    from sysid.names import slug
 
     out, place = Printer(json_file), out_folder or folder
-    name = name or slug(folder.resolve().name, "machine").replace("-", "_")
-    files, described = {key: place / key for key in ("machine.toml", "recipe.toml")}, None
-    there, made = [path for path in files.values() if path.exists()], list[Path]()
-    if there == [files["recipe.toml"]]:
-        remedy = f"Put the machine's description there, or remove {there[0]} to have both drafted."
-        raise SettingsError(f"sysid start {folder}", f"{there[0]} without machine.toml", "both, or neither", remedy)
-    for path in there:
-        out.line(f"kept  {path}")
-    if not there:
-        drafted, beside = _robot_files(robot, name, kind) if robot is not None else (None, {})
-        described = _described(out, folder, name, drafted, kind, answers, reader, yes)
-        root = Root(place)
-        root.make("")
-        for key, text in {**beside, "recipe.toml": described.recipe, "machine.toml": described.machine}.items():
-            root.write(key, text.encode("utf-8"))
-            made.append(place / key)
-            out.line(f"made  {place / key}")
-    name = load_machine(files["machine.toml"]).name
-    recipe = files["recipe.toml"] if files["recipe.toml"].exists() else None  # without one the columns have canonical names
+    described, made, machine = None, list[Path](), place / "machine.toml"
+    if logs.described_already(place, f"sysid start {folder}"):
+        for path in filter(None, (machine, logs.recipe_in(place))):
+            out.line(f"kept  {path}")
+    else:
+        ask = partial(_asked, out) if sys.stdin.isatty() and not yes else None
+        drafted = logs.draft(folder, name, robot, kind, dict(map(_pair, answers)), reader, ask=ask)
+        described = drafted.description
+        _show_description(out, described, folder, yes)
+        made = drafted.write(place)
+        for path in made:
+            out.line(f"made  {path}")
+    name = load_machine(machine).name
+    recipe = logs.recipe_in(place)
     out.line()
     context.invoke(
-        ingest, paths=(folder,), machine=files["machine.toml"], recipe=recipe, name=name, to=None, role=None,
+        ingest, paths=(folder,), machine=machine, recipe=recipe, name=name, to=None, role=None,
         inspect=False, draft=None, reader=None, dbc=None, propose_frame=False, workers=1, cluster=None, trusted_network=False,
         json_file=None,
     )  # fmt: skip
@@ -117,7 +109,7 @@ def start(
     )  # fmt: skip
     out.line()
     out.line("Next:")
-    out.line(f"  1. Correct {files['machine.toml']} where a comment is wrong, and {command('start', folder)} again.")
+    out.line(f"  1. Correct {machine} where a comment is wrong, and {command('start', folder)} again.")
     out.line(f"  2. {command('report', dataset.reference, workspace=context.obj)}")
     out.line(f"  3. {command('gap', dataset.reference, workspace=context.obj)} --add, to store the repaired simulation.")
     questions = [] if described is None else described.questions
@@ -128,35 +120,22 @@ def start(
     })  # fmt: skip
 
 
-def _described(
-    out: Printer,
-    folder: Path,
-    name: str,
-    robot: tuple[str, Machine] | None,
-    kind: str | None,
-    answers: tuple[str, ...],
-    reader: str | None,
-    yes: bool,
-) -> Description:
-    """The drafted files; questions are answered by ``--set``, at a prompt, or with ``--yes`` by their proposals."""
-    from sysid.datasets.drafting import describe
-    from sysid.datasets.drafting.question import Answers
-    from sysid.logs.inspection import inspect_file
+def _asked(out: Printer, found: Description) -> dict[str, str]:
+    """The answers to all questions of a description, at a prompt."""
+    given = {}
+    for question in found.questions:
+        out.entry(f"{question.why}.")
+        choice = click.Choice(question.choices) if question.choices else None
+        given[question.key] = str(click.prompt(question.key, default=question.proposal, type=choice))
+    return given
 
-    given = dict(_pair(text) for text in answers)
-    rate_hz = number(given.pop("rate_hz"), Positive, "--set rate_hz") if "rate_hz" in given else None
-    paths, summaries = log_files((folder,), reader), []
-    with progress_bar("look") as progress:
-        for done, path in enumerate(paths):
-            progress(done / len(paths), path.name)
-            summaries.append(inspect_file(path, reader, rate_hz=rate_hz))
-        found = describe(summaries, folder, name, Answers(given), kind, robot)
-    while found.questions and not yes and sys.stdin.isatty():
-        for question in found.questions:
-            out.entry(f"{question.why}.")
-            choice = click.Choice(question.choices) if question.choices else None
-            given[question.key] = click.prompt(question.key, default=question.proposal, type=choice)
-        found = describe(summaries, folder, name, Answers(given, frozenset(given)), kind, robot)
+
+def _show_description(out: Printer, found: Description, folder: Path, yes: bool) -> None:
+    """What was drafted, and the questions.
+
+    Raises:
+        SettingsError: questions are open, and their proposals are not taken.
+    """
     for axis in found.axes:
         out.line(f"axis  {axis}")
     for line in found.left_out:
@@ -167,7 +146,6 @@ def _described(
     if found.questions and not yes:
         keys = " ".join(f"--set {q.key}={q.proposal}" for q in found.questions)
         raise SettingsError(f"sysid start {folder}", "open questions", "an answer to each", f"Add {keys}, or --yes.")
-    return found
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -175,15 +153,3 @@ def _pair(text: str) -> tuple[str, str]:
     if not equals or not key or not value:
         raise SettingsError(f"--set {text}", "no KEY=VALUE", "for example --set unit=mm")
     return key, value
-
-
-def _robot_files(robot: Path, name: str, kind: str | None) -> tuple[tuple[str, Machine], dict[str, str]]:
-    """``machine.toml`` from a robot's file with the machine, and the files beside it."""
-    from sysid.cli.init_from import Choices, drafted_apart
-    from sysid.machine import machine_from_files
-
-    files = dict(drafted_apart(robot, name, Choices(kind)).files)
-    del files["recipe.toml"]
-    machine = machine_from_files(files, name)
-    text = files.pop("machine.toml")
-    return (text, machine), files

@@ -20,34 +20,18 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
     the errors are significantly larger than on its own held-out rows.
     """
     from sysid.cli.version_tables import show_drift
-    from sysid.errors import ExcitationError, StoreError
-    from sysid.model_versions import ModelVersions
-    from sysid.workspace import open_workspace
+    from sysid.front import networks
 
-    workspace = open_workspace(location)
-    dataset = workspace.dataset(reference)
     out = Printer(json_file)
-    version = workspace.models.find(model)
-    own = version.lineage.get("dataset_digest") == dataset.digest
-    report, drift, not_evaluated = None, None, ""
-    try:
-        report = workspace.validation(model, dataset)
-        show_errors(out, report)
-        show_directions(out, report)
-        show_coverage(out, report)
-    except ExcitationError as error:
-        if own:
-            raise
-        not_evaluated = str(error)  # drift may still be testable
-    if not own:
-        try:
-            drift = ModelVersions(workspace).drift(model, dataset)
-            show_drift(out, drift)
-        except (ExcitationError, StoreError) as error:
-            if report is None:
-                raise
-            out.line(f"The test for drift is not possible: {error}")
-        if not_evaluated:
-            out.line(f"No error report: {not_evaluated}")
-    values = report.to_json() if report is not None else {"model": version.reference, "dataset": dataset.reference}
-    write_json(json_file, {"schema": 1, **values, "drift": drift.to_json() if drift is not None else None})
+    found = networks.validate(model, reference, location)
+    if found.report is not None:
+        show_errors(out, found.report)
+        show_directions(out, found.report)
+        show_coverage(out, found.report)
+    if found.drift is not None:
+        show_drift(out, found.drift)
+    if found.not_tested:
+        out.line(f"The test for drift is not possible: {found.not_tested}")
+    if found.not_evaluated:
+        out.line(f"No error report: {found.not_evaluated}")
+    write_json(json_file, found.to_json())

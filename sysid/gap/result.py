@@ -402,7 +402,7 @@ class Traces:
 NOT_MEASURED = Gap({}, {}, {})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class GapResult:
     """Result of the workflow (``docs/result.md``).
 
@@ -456,6 +456,9 @@ class GapResult:
         above = any(item.disagrees for item in self.localised)
         found = "located" if self.verdict == "unnamed" and self.settings.get("localise_only") else self.verdict
         return headline(found, len(self.effects), self.agreement, disagrees=above or bool(self.unnamed))
+
+    def __repr__(self) -> str:
+        return f"GapResult({self.dataset}: {self.headline})"
 
     @property
     def repaired(self) -> bool:

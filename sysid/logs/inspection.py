@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -14,9 +14,10 @@ from sysid.confined import confined
 from sysid.errors import InputError
 from sysid.logs.csv import CsvReader
 from sysid.logs.labels import without_repeats
+from sysid.logs.lerobot import data_files, is_lerobot
 from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions, Stream
-from sysid.logs.readers import reader_for, reader_named
+from sysid.logs.readers import NAMED, NO_LOGS, is_log, reader_for, reader_named
 from sysid.logs.table import NO_TIME, TIME_NAMES, Columns, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
@@ -110,6 +111,33 @@ class FileSummary:
 
 #: Types that return from the process in which a file is read.
 _SUMMARIES = (FileSummary, StreamSummary, FieldSummary, ClockSummary, TimeUnit)
+
+
+def log_files(paths: Sequence[Path], reader: str | None) -> list[Path]:
+    """The log files in ``paths`` and one folder below; with a named ``reader``, also those that only it reads."""
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise InputError(path, "no such file or folder", "a log file or a folder of them", "Check the path.")
+        if path.is_file():
+            found.append(path)
+            continue
+        if is_lerobot(path):
+            found += data_files(path)
+            continue
+        entries = [entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file()]
+        below = [entry for entry in entries if is_log(entry) or NAMED.get(entry.suffix.lower(), "") == reader]
+        if not below:
+            known = next((entry for entry in entries if entry.suffix.lower() in NO_LOGS), None)
+            expected, remedy = "log files in it or one folder below", "Name the file itself."
+            if known is not None:
+                what, remedy = NO_LOGS[known.suffix.lower()]
+                named = NAMED.get(known.suffix.lower())
+                remedy = f"Inspect with --reader {named} where it is a log." if named is not None else remedy
+                raise InputError(path, f"no log files; {known.name} is {what}", expected, remedy.format(name=known.name))
+            raise InputError(path, "no log files", expected, remedy)
+        found += sorted(below)
+    return list(dict.fromkeys(found))
 
 
 def inspect_file(

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from sysid.cli import main
-from sysid.cli.demo import CHECKOUT, find_pipeline
+from sysid.cli.demo import PIPELINE as SHIPPED_PIPELINE
 from sysid.errors import SettingsError
+from sysid.front.shipped import CHECKOUT, shipped_file
 
 PIPELINE = """
 import json
@@ -33,7 +34,7 @@ def checkout(folder: Path, word: str) -> Path:
 def test_demo_runs_the_pipeline_of_its_checkout_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sysid.cli.demo.CHECKOUT", checkout(tmp_path / "own", "own"))
+    monkeypatch.setattr("sysid.front.shipped.CHECKOUT", checkout(tmp_path / "own", "own"))
     (checkout(tmp_path / "stranger", "stranger") / "deeper").mkdir()
     for here in ("stranger", "stranger/deeper"):
         monkeypatch.chdir(tmp_path / here)
@@ -47,7 +48,25 @@ def test_a_wheel_has_its_own_demo_and_a_broken_one_says_so(tmp_path: Path) -> No
     site = checkout(tmp_path / "site", "other package")
     (site / "pyproject.toml").unlink()
     with pytest.raises(SettingsError, match=r"no pipelines/first_look\.py in .*Install the wheel again"):
-        find_pipeline(site, tmp_path / "shipped")
+        shipped_file(SHIPPED_PIPELINE, site, tmp_path / "shipped")
     shipped = checkout(tmp_path / "shipped", "shipped")
-    assert find_pipeline(site, shipped) == shipped / "pipelines/first_look.py"
-    assert find_pipeline(CHECKOUT, shipped) == Path(__file__).parents[2] / "pipelines" / "first_look.py"
+    assert shipped_file(SHIPPED_PIPELINE, site, shipped) == shipped / "pipelines/first_look.py"
+    assert shipped_file(SHIPPED_PIPELINE, CHECKOUT, shipped) == Path(__file__).parents[2] / "pipelines" / "first_look.py"
+
+
+def test_the_arm_is_its_own_pipeline_and_takes_what_to_hide(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = checkout(tmp_path / "own", "crane")
+    text = PIPELINE.replace("workspace: Path)", "workspace: Path, hide=())").replace("%r", "list(hide)")
+    (own / "pipelines" / "demo_arm.py").write_text('HIDDEN = ("default",)\n' + text)
+    monkeypatch.setattr("sysid.front.shipped.CHECKOUT", own)
+    for number, (words, ran) in enumerate(((["--hide", "a=1", "--hide", "b=2"], ["a=1", "b=2"]), ([], ["default"]))):
+        with pytest.raises(SystemExit) as stop:
+            main(["--workspace", str(tmp_path / str(number)), "demo", "--arm", *words, "--json", str(tmp_path / "r.json")])
+        assert stop.value.code == 0, capsys.readouterr().err
+        assert json.loads((tmp_path / "r.json").read_text())["ran"] == ran
+    with pytest.raises(SystemExit) as stop:
+        main(["--workspace", str(tmp_path / "x"), "demo", "--hide", "a=1"])
+    assert stop.value.code == 2
+    assert "--hide without --arm" in capsys.readouterr().err

@@ -128,7 +128,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_version(
 
     before = place.models.list()
     with monkeypatch.context() as patch:
-        patch.setattr("sysid.cli.fit.progress_bar", stopped)
+        patch.setattr("sysid.front.place.progress_bar", stopped)
         assert fit(place, "good", "long") == 130
     assert "the command can be repeated" in capsys.readouterr().err
     assert place.models.list() == before

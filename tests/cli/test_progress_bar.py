@@ -10,17 +10,18 @@ import struct
 import subprocess
 import sys
 import termios
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid.cli import progress_bar
-from sysid.cli.progress_bar import LINE, PlainLines, cut
+from sysid import progress_bar
+from sysid.progress_bar import LINE, PlainLines, cut
 
 SCRIPT = """
 import time
-from sysid.cli.progress_bar import progress_bar
+from sysid.progress_bar import progress_bar
 with progress_bar("train a policy with a very long name, 12 seeds") as progress:
     progress(0.5, "command stage of boom: " + "a very long list of effects, " * 20)
     time.sleep(0.5)
@@ -104,3 +105,19 @@ def test_a_pipe_gets_no_control_characters() -> None:
 def test_cut_text_fits(text: str, width: int) -> None:
     assert len(cut(text, width)) <= width
     assert cut(text, width) == text or cut(text, width).endswith("…")
+
+
+def test_a_notebook_shows_a_bar_that_is_gone_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drawn: list[str] = []
+    display = SimpleNamespace(
+        HTML=str, display=lambda html, display_id: drawn.append(html) or SimpleNamespace(update=drawn.append)
+    )
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=None)))
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    with progress_bar.progress_bar("gap") as progress:
+        progress(0.25, "stage <1>")
+        progress(0.26, "too soon")
+    assert drawn == ["", '<progress value="0.250" max="1"></progress> gap 25 % stage &lt;1&gt;', ""]
+    assert capsys.readouterr().err == ""

@@ -133,7 +133,7 @@ def test_every_package_of_an_extra_is_known_to_the_message_about_it() -> None:
     assert project["name"] == DISTRIBUTION
     extras = project["optional-dependencies"]
     modules = {"rerun": "rerun-sdk", "can": "python-can", "serial": "pyserial", "pinocchio": "pin", "mujoco": "mujoco-core"}
-    modules |= {"pxr": "usd-core", "newton_usd_schemas": "newton-usd-schemas"}
+    modules |= {"pxr": "usd-core", "newton_usd_schemas": "newton-usd-schemas", "pybullet_data": "pybullet"}
     for module, extra in EXTRAS.items():
         assert any(text.startswith(modules.get(module, module)) for text in extras[extra]), f"{module}: {extra}"
     known = {normal(modules.get(module, module)) for module in EXTRAS}

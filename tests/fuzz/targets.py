@@ -238,8 +238,8 @@ def _edited(data: bytes) -> bytes:
 
 def mjcf(data: bytes) -> None:
     """An MJCF, or edits of one: the draft of its machine in a confined process, and here what that process has taken."""
-    from sysid.cli.init_from import Choices, Drafted, drafted_files
     from sysid.confined import Limits, confined
+    from sysid.datasets.robot_files import Choices, Drafted, drafted_files
     from sysid.errors import SysidError
     from sysid.machine.sources import mjcf_model
     from sysid.machine.sources.mjcf_files import joined_model

@@ -11,8 +11,8 @@ import pandas as pd
 from plant_data import ROLES
 from robots import robot
 
-from sysid.cli.init_from import Choices, drafted_files
 from sysid.datasets.recording import Dataset, Recording
+from sysid.datasets.robot_files import Choices, drafted_files
 from sysid.machine import Machine, machine_from_files
 
 Array = npt.NDArray[np.float64]

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from short_logs import shortened
 
+import sysid
 from sysid.networks import parse_recipe
-from sysid.pictures import PictureCurve, svg
 from sysid.workspace import open_workspace
 
 ROOT = Path(__file__).parents[2]
 AUTOLOG = ROOT / "datasets" / "autolog"
-PICTURE = ROOT / "docs" / "images" / "demo.svg"
+PICTURES = ROOT / "docs" / "images"
+README = (ROOT / "README.md").read_text("utf-8")
 SECONDS = {"manual-01": 30.0, "manual-02": 30.0, "manual-06": 30.0, "poses": 800.0}
 QUICK = {
     "actuator": {"samples": 400, "training": {"epochs": 150, "learning_rate": 1e-3}},
@@ -70,7 +71,7 @@ def test_networks_are_judged_per_output_beside_the_paper(result: dict[str, Any])
 
 
 def test_every_station_says_how_long_it_took_and_leaves_its_file(result: dict[str, Any]) -> None:
-    stations = ["ingest", "fit actuator", "fit forward", "validate", "simulate", "gap", "report", "view"]
+    stations = ["ingest", "fit actuator", "fit forward", "gap", "report", "view"]
     assert list(result["seconds"]) == stations
     assert all(seconds > 0.0 for seconds in result["seconds"].values())
     assert result["dataset"] == "autolog@1"
@@ -80,35 +81,96 @@ def test_every_station_says_how_long_it_took_and_leaves_its_file(result: dict[st
     assert Path(result["files"]["rerun"]).stat().st_size > 100_000
 
 
-def picture(result: dict[str, Any]) -> str:
-    """Height of the boom tip on the held-out recording: measured, and simulated before and after the repair."""
-    place = open_workspace(Path(result["files"]["report"]).parents[1])
-    dataset, (name,) = place.dataset("autolog"), result["gap"]["held_out_recordings"]
-    runs, recording, signal = place.predictions(dataset, name), dataset.recording(name), "ee.z"
-    time = recording.values("time") - recording.values("time")[0]
-    rms = {key: f"{1e3 * result['gap']['gap'][key][signal]:.3g} mm" for key in ("before", "after", "noise_floor")}
-    curves = [
-        PictureCurve("simulated before", time, runs["before"][signal].to_numpy(), "#d9822b"),
-        PictureCurve("measured", time, recording.values(signal), "#30363c"),
-        PictureCurve("simulated after", time, runs["after"][signal].to_numpy(), "#1a7f64", dashed=True),
-    ]
-    errors = f"RMS {rms['before']} → {rms['after']}; noise {rms['noise_floor']}"
-    return svg(
-        f"Height of the boom tip: {errors}",
-        f"time [s] of a recording that no fit has seen · {errors}",
-        "height of the boom tip [m]",
-        curves,
-    )
+def points(text: str) -> np.ndarray[Any, Any]:
+    return np.array(re.split("[ ,]", " ".join(re.findall(r'points="([^"]*)"', text))), dtype=float)
 
 
-def test_the_picture_in_the_readme_is_that_of_today(result: dict[str, Any], tmp_path: Path) -> None:
-    """Texts are equal, and curves to half a pixel."""
-    (tmp_path / PICTURE.name).write_text(picture(result), "utf-8")
-    numbers, words = [], []
-    for path in (PICTURE, tmp_path / PICTURE.name):
-        text = path.read_text("utf-8")
-        curves = " ".join(re.findall(r'points="([^"]*)"', text))
-        numbers.append(np.array(re.split("[ ,]", curves), dtype=float))
-        words.append(re.sub(r'points="[^"]*"', "", text))
-    assert words[0] == words[1], f"the demo's figures have changed: look at {tmp_path / PICTURE.name} and copy it to {PICTURE}"
-    np.testing.assert_allclose(numbers[1], numbers[0], rtol=0.0, atol=0.5)
+def words(text: str) -> set[str]:
+    """Kinds of lines, without curves and figures: ticks have other numbers."""
+    return set(re.sub(r"[−\d.,]+", "0", re.sub(r'points="[^"]*"', "", text)).splitlines())
+
+
+def drawn(path: Path, pipeline: Callable[[str], ModuleType]) -> dict[str, str]:
+    """The pictures of a finished demo."""
+    place = open_workspace(path.parents[1])
+    dataset = place.dataset("autolog")
+    found: dict[str, str] = pipeline("demo_picture").pictures(dataset, place.gap(dataset))
+    return found
+
+
+@pytest.mark.parametrize("name", ["demo-light.svg", "demo-dark.svg"])
+def test_the_picture_in_the_readme_is_drawn_as_today(
+    name: str, result: dict[str, Any], pipeline: Callable[[str], ModuleType]
+) -> None:
+    """Short logs and short training have other figures than the demo: those are compared below."""
+    kept = (PICTURES / name).read_text("utf-8")
+    now = drawn(Path(result["files"]["report"]), pipeline)[name]
+    assert words(now) == words(kept), "draw them again: python pipelines/demo_picture.py WORKSPACE"
+    assert now.count("<polyline") == kept.count("<polyline")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_picture_and_answer_of_the_readme_are_those_of_the_demo(tmp_path: Path, pipeline: Callable[[str], ModuleType]) -> None:
+    """Curves to half a pixel, figures of the picture to a twentieth, the answer to the letter."""
+    pipeline("first_look").main(tmp_path / "workspace")
+    for name, now in drawn(tmp_path / "workspace" / "demo" / "result.json", pipeline).items():
+        kept = (PICTURES / name).read_text("utf-8")
+        np.testing.assert_allclose(points(now), points(kept), rtol=0.0, atol=0.5, err_msg=name)
+        figures = [
+            np.array(re.findall(r"\d+(?:\.\d+)?", re.sub(r'points="[^"]*"', "", text)), dtype=float) for text in (now, kept)
+        ]
+        np.testing.assert_allclose(*figures, rtol=0.05, err_msg=name)
+    place = open_workspace(tmp_path / "workspace")
+    dataset = place.dataset("autolog")
+    found = place.gap(dataset)
+    assert found is not None
+    text = repr(sysid.GapResult(found, dataset, place, place.plant(dataset)))
+    shown = [line.split() for line in text.splitlines()]
+    assert [line for line in answer().splitlines()[1:] if line.split() not in shown] == []
+
+
+def answer() -> str:
+    return next(block for block in re.findall(r"```text\n(.*?)```", README, re.DOTALL) if "Backlash" in block)
+
+
+def test_the_answer_in_the_readme_is_that_of_the_demo(result: dict[str, Any]) -> None:
+    """It has the effects that are found here, on short logs, with values inside of their intervals."""
+    rows = {
+        row[0].strip(): row[1:] for row in (re.split(r" {2,}", line.strip()) for line in answer().splitlines()) if len(row) > 2
+    }
+    shown = {
+        ("backlash", "slew", "width"): np.radians(number(rows["Backlash of slew"][0])),
+        ("valve_deadband", "boom", "positive"): number(rows["Valve dead-band of boom"][0]),
+        ("gripper_sway", "tool", "length"): 1e-3 * number(rows["Swinging tool of tool"][0]),
+    }
+    found = {(e["name"], e["target"]): e for e in result["gap"]["effects"]}
+    assert {key[:2] for key in shown} == found.keys()
+    for (name, target, parameter), value in shown.items():
+        assert value == pytest.approx(found[name, target]["parameters"][parameter], rel=0.03)
+
+
+def number(text: str) -> float:
+    """``positive 0.1200`` → 0.12, ``width 0.6025°`` → 0.6025."""
+    return float(re.search(r"[\d.]+", text).group())  # type: ignore[union-attr]
+
+
+def test_the_python_of_the_readme_runs_as_it_is(
+    result: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the workspace of the demo: its dataset and its networks are those of the short logs here."""
+    (block,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(block.splitlines()) <= 10
+    workspace = Path(result["files"]["report"]).parents[1]
+    monkeypatch.setenv("SYSID_WORKSPACE", str(workspace))
+    monkeypatch.setattr(sysid, "demo_logs", lambda: workspace.parent / "autolog")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert names["dataset"].reference == "autolog@1"
+    assert {(effect.name, effect.target) for effect in names["gap"].effects} == {
+        ("backlash", "slew"), ("valve_deadband", "boom"), ("gripper_sway", "tool"),
+    }  # fmt: skip
+    assert "Backlash of slew" in capsys.readouterr().out
+    assert (tmp_path / "tool.svg").read_text("utf-8").count("<polyline") == 3
+    assert json.loads((tmp_path / "repaired" / "replay.json").read_text("utf-8"))["target"] == "json"

@@ -44,8 +44,12 @@ def test_the_first_look_finds_what_the_logs_hide(jupyter: Path) -> None:
     outputs = [output for cell in code_cells(notebook) for output in cell.outputs]
     assert [output for output in outputs if output.output_type not in ("execute_result", "display_data")] == []
     texts = ["".join(output.data.get("text/plain", "")) for output in outputs]
-    named = next(text for text in texts if "gap share" in text)
-    assert all(word in named for word in ("Backlash", "slew", "Valve dead-band", "boom", "Swinging tool"))
-    assert any("image/svg+xml" in output.data for output in outputs)
-    assert "named" in texts[-1]
+    table = next(text for text in texts if "held-out error" in text)
+    assert all(word in table for word in ("Backlash of slew", "Valve dead-band of boom", "Swinging tool"))
+    assert max(map(len, table.splitlines())) <= 80
+    rich = next(output.data["text/html"] for output in outputs if "Backlash of slew" in output.data.get("text/html", ""))
+    assert "<td>Backlash of slew</td>" in rich
+    assert "<polyline" in rich
+    assert sum("image/svg+xml" in output.data for output in outputs) == 2
+    assert "RepairedPlant(autolog@2)" in texts[-1]
     assert list(jupyter.glob("tmpdir/sysid-*/report.html"))

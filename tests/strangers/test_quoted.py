@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from one_axis_logs import MACHINE, record
 
-from sysid.cli.init_from import Choices, drafted_files
+from sysid.datasets.robot_files import Choices, drafted_files
 from sysid.errors import SysidError
 from sysid.files import json_text
 from sysid.foreign import is_unicode, visible

@@ -10,6 +10,7 @@ import pandas as pd
 
 from sysid.datasets.recording import Dataset
 from sysid.datasets.versions.store import Store
+from sysid.location import default_location
 
 
 def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.DataFrame:
@@ -25,7 +26,7 @@ def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.
     Raises:
         StoreError: no such dataset or version, or its files are damaged.
     """
-    place = os.fspath(workspace) if workspace is not None else os.environ.get("SYSID_WORKSPACE", "./workspace")
+    place = os.fspath(workspace) if workspace is not None else default_location()
     return frame_of(Store(place if "://" in place else Path(place)).load(reference))
 
 

@@ -1,12 +1,14 @@
-"""Progress of long work on stderr: one line that is redrawn in a terminal, plain lines elsewhere."""
+"""Progress of long work: a bar in a notebook; on stderr one line that is redrawn in a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 from sysid.foreign import visible
 from sysid.progress import Progress
@@ -15,19 +17,48 @@ from sysid.progress import Progress
 TITLE, BAR, LINE = 18, 14, 118
 #: Without a terminal: seconds between two lines at least, and at most while something runs.
 SOONEST_S, LATEST_S = 1.0, 30.0
+#: Seconds between two drawings of the bar of a notebook, at least.
+REDRAWN_S = 0.2
 #: How often the plain lines look for something to print [s].
 _POLL_S = 0.5
 
 
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Progress]:
-    """A callback that shows progress on stderr.
+    """A callback that shows progress: in a notebook below the cell, which is empty again at the end; else on stderr.
 
     In a terminal a bar, the time and the current step stay on one line of any width. Elsewhere (pipe, CI) every new step is a
     line, at most one a second, and at least one every half minute; without control characters.
     """
-    with _bar(title) if sys.stderr.isatty() else _lines(title) as progress:
+    kind = _notebook if in_notebook() else _bar if sys.stderr.isatty() else _lines
+    with kind(title) as progress:
         yield progress
+
+
+def in_notebook() -> bool:
+    """Whether this is the process of a notebook: an IPython shell with a kernel."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")
+
+
+@contextlib.contextmanager
+def _notebook(title: str) -> Iterator[Progress]:
+    from html import escape
+
+    notebook: Any = importlib.import_module("IPython.display")
+    drawn, shown = notebook.display(notebook.HTML(""), display_id=True), 0.0
+
+    def report(done: float, text: str) -> None:
+        nonlocal shown
+        if time.monotonic() - shown >= REDRAWN_S:
+            shown = time.monotonic()
+            words = escape(f"{visible(title, LINE)} {100.0 * done:.0f} % {visible(text, LINE)}")
+            drawn.update(notebook.HTML(f'<progress value="{done:.3f}" max="1"></progress> {words}'))
+
+    try:
+        yield report
+    finally:
+        drawn.update(notebook.HTML(""))
 
 
 @contextlib.contextmanager
@@ -113,7 +144,8 @@ class PlainLines:
         seconds = time.monotonic() - self._begin
         with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
             line = f"{visible(self.title, LINE)}: {share} after {seconds:.0f} s  {visible(text, LINE)}"
-            print(cut(line.rstrip(), LINE), file=sys.stderr, flush=True)
+            sys.stderr.write(f"{cut(line.rstrip(), LINE)}\n")
+            sys.stderr.flush()
         self._printed, self._new, self._any = time.monotonic(), False, True
 
 
