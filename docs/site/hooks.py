@@ -93,8 +93,11 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return markdown
     place = page.file.src_uri
     parts = CODE.split(markdown)
-    for pattern in (LINK, SOURCE):
-        parts[::2] = [pattern.sub(lambda match: match[1] + mapped(match[2], source, place) + match[3], part) for part in parts[::2]]
+
+    def moved(match: re.Match[str]) -> str:
+        return match[1] + mapped(match[2], source, place) + match[3]
+
+    parts[::2] = [SOURCE.sub(moved, LINK.sub(moved, part)) for part in parts[::2]]
     return "".join(parts)
 
 
