@@ -154,9 +154,12 @@ def gap(
             out.line(f"    {planned['file']}")
         if result.plant_after:
             show_repair(out, result, dataset, folder, location)
-        elif simulator is not None:
+        elif not isinstance(tested, Plant):
             for note in result.notes:
                 out.line(f"note: {note}")
+        elif mjcf is not None:
+            if result.repaired and out_file is None:
+                out.line("The repair is not written: --out FILE.xml writes it into a copy of the model.")
         elif result.repaired and not add:
             out.line(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
