@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sysid.display import NOTHING, interval, minute, percent, quantity
-from sysid.figures import ErrorFigure, Table, output_name, stored_parameters
+from sysid.figures import ErrorFigure, ParameterFigure, Table, output_name, stored_parameters
 from sysid.gap.result import Gap
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
@@ -368,7 +368,8 @@ def _effects(lineage: Mapping[str, Any]) -> list[CardBlock]:
     for effect in lineage.get("effects", ()):
         place = effect_title(str(effect.get("name"))), str(effect.get("target"))
         share = percent(effect.get("closed_share", math.nan))
-        for figure in stored_parameters(effect) or [None]:
+        own: list[ParameterFigure | None] = [*stored_parameters(effect)]
+        for figure in own or [None]:
             values = (figure.label, figure.text, figure.interval) if figure is not None else ("", "", "")
             rows.append((*place, *values, share))
             place, share = ("", ""), ""

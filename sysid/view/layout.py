@@ -182,7 +182,7 @@ BEFORE_S, AFTER_S = 4.0, 1.0
 def screen(views: Any, timeline: str, moment: float | None = None) -> Any:
     """A blueprint of ``views`` with all panels collapsed, which plays the seconds around ``moment`` [s]."""
     import rerun.blueprint as rrb
-    from rerun.encodings import AbsoluteTimeRange
+    from rerun.blueprint.components import AbsoluteTimeRange
 
     panel = rrb.TimePanel(timeline=timeline, state="collapsed")
     if moment is not None:
@@ -239,7 +239,7 @@ def arm_points(machine: Machine, table: pd.DataFrame) -> Array:
         if set(point_signals(point)) <= set(rows.columns):
             found.append(rows[list(point_signals(point))].to_numpy(dtype=np.float64))
     points = np.concatenate([np.zeros((0, 3)), *found])
-    return points[np.isfinite(points).all(axis=1)]
+    return np.asarray(points[np.isfinite(points).all(axis=1)])
 
 
 def _active(tables: Mapping[str, pd.DataFrame], signals: list[str], owners: list[str]) -> int:
