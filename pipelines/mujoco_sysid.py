@@ -31,8 +31,7 @@ from sysid.datasets import Dataset, Recording
 from sysid.datasets.robot_files import Choices, drafted_files
 from sysid.errors import SettingsError
 from sysid.gap import find_gap
-from sysid.gap.adapters.mujoco.force_repair import is_force_driven, open_force_model, write_force_model
-from sysid.gap.adapters.mujoco.repair import open_mujoco, repaired_effects, write_repaired
+from sysid.gap.adapters.mujoco.model import open_model, write_model
 from sysid.machine import Machine, machine_from_files
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -348,15 +347,9 @@ def ours(
         recordings.append(Recording(name, pd.DataFrame(table), case.rate_hz))
     dataset = Dataset.of(machine, recordings, ROLES)  # type: ignore[arg-type]
     begin_time, out = time.perf_counter(), folder / "repaired.xml"
-    if is_force_driven(machine):
-        plant = open_force_model(model, dataset)
-        result = find_gap(dataset, plant, forms="simple")  # MuJoCo has one friction for both directions
-        path = write_force_model(model, plant, result.written, out, dataset, result.stage_gap).path
-    else:
-        adapter = open_mujoco(model, dataset)
-        result = find_gap(dataset, adapter)
-        effects = repaired_effects(adapter, result.written)
-        path = write_repaired(adapter, effects, out, dataset, result.gap).path if effects else model
+    tested = open_model(model, dataset)
+    result = find_gap(dataset, tested, forms="simple")  # MuJoCo has one friction for both directions
+    path = write_model(model, tested, result, out, dataset).path if result.written else model
     named = [f"{e.name} ({e.target}) " + _values(e.parameters) for e in result.effects]
     return ", ".join(named) or result.verdict, path, time.perf_counter() - begin_time
 

@@ -23,6 +23,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 if "PYTEST_XDIST_WORKER" in os.environ:  # one processor each: their threads would wait for each other
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+os.environ.pop("COLUMNS", None)  # of the terminal in which the tests run; tables have the width of a pipe
+
 ROOT = Path(__file__).parents[1]
 #: Folders of tests that read many log files and are of something else: not the readers, hostile input or faults.
 READ_HERE = ("cli", "datasets", "fleet", "registry", "reports", "versions")

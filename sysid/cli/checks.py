@@ -81,7 +81,7 @@ def show_roles(out: Printer, dataset: Dataset, location: str, *, needs: bool = T
         out.entry(f"note: {len(lacks) - MAX_LACKS} more of this kind")
     if lacks:
         suggest = command("datasets", "split", dataset.reference, "--suggest", workspace=location)
-        out.entry(f"Roles and what to record: {suggest}")
+        out.line(f"Roles and what to record: {suggest}")
     return {"needs": None, "lacks": [asdict(lack) for lack in lacks]}
 
 

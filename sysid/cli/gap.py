@@ -89,6 +89,8 @@ def gap(
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
     from sysid.cli.checks import show_checked
+    from sysid.datasets import Store
+    from sysid.datasets.checks.roles import check_needs
     from sysid.errors import SettingsError
     from sysid.execution import open_executor
 
@@ -109,6 +111,8 @@ def gap(
     if mjcf is not None and add and out_file is None:
         out_file = repaired_path(mjcf)
     out = Printer(json_file)
+    data = Store(location).load(reference)
+    check_needs(data)  # before anything is compiled
     with progress_bar("gap") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.front.gap import find_gap
@@ -117,7 +121,7 @@ def gap(
         from sysid.reports import write_report
 
     found = find_gap(
-        reference,
+        data,
         partial(open_simulator, simulator, assets=assets, tell=out.line) if simulator is not None else plant,
         location,
         add=add and mjcf is None,

@@ -33,18 +33,10 @@ def write_model(
     Raises:
         InputError: the written model does not do what the repaired simulation does.
     """
-    from sysid.gap.adapters.mujoco.force_repair import write_force_model
-    from sysid.gap.adapters.mujoco.repair import repaired_effects, write_repaired
-    from sysid.gap.adapters.mujoco.servo_repair import has_servos, write_servo_model
-    from sysid.plant import Plant
+    from sysid.gap.adapters.mujoco import model as mujoco_model
     from sysid.plant.plant import effect_key
 
-    if isinstance(tested, Plant) and has_servos(tested.machine):
-        repaired = write_servo_model(model, tested, result, path, dataset, assets)
-    elif isinstance(tested, Plant):
-        repaired = write_force_model(model, tested, result.written, path, dataset, result.stage_gap, assets)
-    else:
-        repaired = write_repaired(tested, repaired_effects(tested, result.written), path, dataset, result.gap)
+    repaired = mujoco_model.write_model(model, tested, result, path, dataset, assets)
     out.line(f"Repaired model: {repaired.path}")
     for change in repaired.native:
         out.line(f"    {change.effect.name} of {change.effect.target}: {change.where}")

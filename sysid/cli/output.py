@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -106,6 +107,10 @@ class Printer:
         self.console.file.write("\n".join((*lines, " " * (wide + 2), "")))
 
 
+#: Where a cell may be broken: not in a pair such as ``3.2 / 4.1``.
+BREAK = re.compile(r"(?<!/) (?!/)")
+
+
 def _widths(rows: Sequence[Sequence[str]], width: int, gap: int) -> list[int] | None:
     """Widths of columns that take at most ``width`` together with gaps between them.
 
@@ -117,7 +122,7 @@ def _widths(rows: Sequence[Sequence[str]], width: int, gap: int) -> list[int] | 
     found, room = [max(map(cell_len, column)) for column in columns], width - gap * (len(columns) - 1) - 2
     if sum(found) <= room:  # always so for a table of many rows, whose words are not counted
         return found
-    least = [max(cell_len(word) for cell in column for word in cell.split(" ")) for column in columns]
+    least = [max(cell_len(word) for cell in column for word in BREAK.split(cell)) for column in columns]
     while sum(found) > room:
         wide = [number for number in range(len(found)) if found[number] > least[number]]
         if not wide:
@@ -133,7 +138,7 @@ def _wrapped(cell: str, width: int) -> list[str]:
     if cell_len(cell) <= width:
         return [cell]
     lines = [""]
-    for word in cell.split(" "):
+    for word in BREAK.split(cell):
         longer = f"{lines[-1]} {word}" if lines[-1] else word
         if cell_len(longer) <= width:
             lines[-1] = longer

@@ -25,8 +25,7 @@ def open_simulator(
 ) -> Simulator | Plant:
     """The simulator of a Python file or of an MJCF, for a dataset.
 
-    Of an MJCF with force-driven axes, the plant with the same forces; of one with servos, the plant that moves as it does, and
-    where none does, the model itself.
+    Of an MJCF, that of :func:`sysid.gap.adapters.mujoco.model.open_model`.
 
     Args:
         assets: further folders below which an MJCF may open files.
@@ -38,19 +37,9 @@ def open_simulator(
     """
     if not place.startswith(MUJOCO):
         return load_simulator(place)
-    from sysid.gap.adapters.mujoco.force_repair import is_force_driven, open_force_model
-    from sysid.gap.adapters.mujoco.repair import open_mujoco
-    from sysid.gap.adapters.mujoco.servo_repair import Differs, has_servos, open_servo_model
+    from sysid.gap.adapters.mujoco.model import open_model
 
-    path = Path(place.removeprefix(MUJOCO))
-    if is_force_driven(dataset.machine):
-        return open_force_model(path, dataset, assets)
-    if has_servos(dataset.machine):
-        found = open_servo_model(path, dataset, assets)
-        if not isinstance(found, Differs):
-            return found
-        tell(f"note: {path.name} is run itself, which takes longer; effects inside its loops are not searched: {found.why}")
-    return open_mujoco(path, dataset, assets)
+    return open_model(Path(place.removeprefix(MUJOCO)), dataset, assets, tell)
 
 
 def load_simulator(place: str) -> Simulator:
