@@ -1,7 +1,8 @@
 """Servos that move one arm: each is searched beside what was found on the others, and all get their values together.
 
-Search: an axis runs by itself beside the motion of the others as the plant has it between the samples. Where that is wrong,
-small effects are adjusted in its place. The axes are therefore searched in turn, beside the plant with all that was found.
+Search: an axis runs by itself beside the motion of the arm as the plant has it between the samples. Where that is wrong,
+small effects are adjusted in its place. A few effects of each axis are therefore fitted to its motion first; whether they are
+the right ones does not matter to the motion.
 
 Masses: the mass of a link looks like a gain or an armature on one axis by itself. It is one value for all axes before the link:
 what one of them names is put into the others, which are searched again. It stays if the arm needs no more effects with it.
@@ -14,7 +15,7 @@ of least squares of the free run of all axes together.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,13 +26,13 @@ from sysid.datasets.recording import Recording
 from sysid.effects import link_mass_error
 from sysid.gap.candidates import Candidate
 from sysid.gap.data import Data
-from sysid.gap.fit import place, spread_of
+from sysid.gap.fit import ROUGH, Fit, fit_candidates, place, spread_of
 from sysid.gap.likelihood.stage import steps_of
-from sysid.gap.prepare.case import Case, Stage
+from sysid.gap.prepare.case import Case, Stage, stage_candidates
 from sysid.gap.problem import drive_problem
 from sysid.gap.result import NamedEffect, Value
 from sysid.gap.stage_result import StageResult
-from sysid.gap.thresholds import Z, at_floor
+from sysid.gap.thresholds import Z, as_little, at_floor
 from sysid.machine import EffectKey, KnownEffect
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.plant import effect_key
@@ -45,31 +46,40 @@ SearchStages = Callable[[Sequence[Stage]], list[StageResult]]
 Search = Callable[[Stage, frozenset[EffectKey]], Stage]
 #: Most steps of the least squares, and the share of the cost below which a step has converged.
 STEPS, CONVERGED = 12, 1e-9
+#: Effects of a first motion at most, and candidates that are fitted for each.
+MOST, TRIED = 3, 3
+#: Least and largest share of a start value.
+SHARES = 0.05, 2.0
 
 
 def beside_each_other(case: Case, stages: Sequence[Stage], search: SearchStages) -> list[Stage]:
-    """The searched servos of an arm: in turn, that of the largest error first, each beside the plant with all found before.
+    """The searched servos of an arm: in turn, that of the largest error first, each beside the motion of the whole arm.
 
-    Those that named effects alone do not explain are searched again beside all that was found: their own effects move the
-    others, too.
+    The motion is by what was found on axes that are searched, and by what was fitted to the others. Those that named effects
+    alone do not explain are searched again beside all that was found, where this moves them.
     """
-    found, left, whole = list(stages), set(range(len(stages))), case.theta.copy()
-    affected = set[int]()
+    found, left, fitted = list(stages), set(range(len(stages))), _fitted_motion(case, stages)
     while left:
+        whole = _together(case, fitted.values())
         for k in left:
             found[k] = _beside(case, found[k], whole)
         worst = max(sorted(left), key=lambda k: _error(found[k]))
         found[worst] = replace(found[worst], result=search([found[worst]])[0])
-        theta = found[worst].found.fit.theta
+        fitted[worst] = found[worst].found.fit.theta
         left.discard(worst)
-        if not np.array_equal(theta, case.theta):
-            whole = np.where(theta != case.theta, theta, whole)
-            affected = set(range(len(stages))) - left
-    moved = [_beside(case, stage, whole) for stage in found]
-    unclear = [k for k in sorted(affected) if not _is_clear(moved[k].found)]
+    moved = [_beside(case, stage, _together(case, fitted.values())) for stage in found]
+    unclear = [k for k, stage in enumerate(moved) if not _is_clear(stage.found) and _has_moved(found[k], stage)]
     for k, result in zip(unclear, search([moved[k] for k in unclear]) if unclear else [], strict=True):
         moved[k] = replace(moved[k], result=result)
     return [replace(s, result=replace(s.found, problem=s.problem)) for s in moved]
+
+
+def _together(case: Case, thetas: Iterable[Array]) -> Array:
+    """The parameters of the plant under test with all that differs from it; of two values for one, the later."""
+    whole = case.theta.copy()
+    for theta in thetas:
+        whole = np.where(theta != case.theta, theta, whole)
+    return whole
 
 
 def _beside(case: Case, stage: Stage, theta: Array) -> Stage:
@@ -78,9 +88,59 @@ def _beside(case: Case, stage: Stage, theta: Array) -> Stage:
     return replace(stage, problem=drive_problem(better, case.plant.machine.axis(stage.problem.target)))
 
 
+def _fitted_motion(case: Case, stages: Sequence[Stage]) -> dict[int, Array]:
+    """Parameters with which each axis moves about as it was measured, beside the others; the largest error is fitted first."""
+    fitted, left = dict[int, Array](), set(range(len(stages)))
+    while left:
+        beside = {k: _beside(case, stages[k], _together(case, fitted.values())) for k in left}
+        worst = max(sorted(left), key=lambda k: _error(beside[k]))
+        fitted[worst] = _fitted_axis(beside[worst], stage_candidates(case, beside[worst]))
+        left.discard(worst)
+    return fitted
+
+
+def _fitted_axis(stage: Stage, candidates: Sequence[Candidate]) -> Array:
+    """Parameters with which one axis moves so: by least squares of its free run, one effect after the other."""
+    data, left = Data(stage.problem, stage.split.seen, stage.sigma), _error(stage)
+    fit = fit_candidates(data, stage.theta, (), ())
+    while len(fit.candidates) < MOST and not at_floor(left):
+        larger = [
+            fit_candidates(data, stage.theta, (*fit.candidates, c), [np.concatenate([fit.values, start])], ROUGH)
+            for c, start in _promising(data, fit, candidates)
+        ]
+        errors = [spread_of(data.residuals(each.theta[None])) for each in larger]
+        if as_little(left, min(errors, default=left)):
+            break
+        left, fit = min(errors), larger[int(np.argmin(errors))]
+    return fit.theta
+
+
+def _promising(data: Data, fit: Fit, candidates: Sequence[Candidate]) -> list[tuple[Candidate, Array]]:
+    """Candidates that leave least beside a fit if the motion is linear in the share of their start values; with that start."""
+    used, found = {c.key for c in fit.candidates}, list[tuple[float, Candidate, Array]]()
+    here = np.nan_to_num(np.concatenate([part[0].ravel() for part in data.residuals(fit.theta[None])]))
+    for candidate in (c for c in candidates if c.form is c.effect.forms[0] and c.key not in used):
+        nominal, starts = np.array([u.nominal for u in candidate.unknowns]), np.array(candidate.starts)
+        moved = data.residuals(place(fit.theta, candidate.unknowns, starts))
+        changes = here - np.nan_to_num(np.concatenate([part.reshape(len(starts), -1) for part in moved], axis=1))
+        squares, slopes = (changes**2).sum(axis=1), changes @ here
+        shares = np.clip(slopes / np.maximum(squares, 1e-12), *SHARES)
+        gains = 2.0 * shares * slopes - shares**2 * squares
+        best = int(np.argmax(gains))
+        found.append((gains[best], candidate, nominal + shares[best] * (starts[best] - nominal)))
+    return [(candidate, start) for _, candidate, start in sorted(found, key=lambda each: -each[0])[:TRIED]]
+
+
 def _error(stage: Stage) -> float:
     """Error of the plant under test [noise floors]."""
     return spread_of(Data(stage.problem, stage.split.seen, stage.sigma).residuals(stage.theta[None]))
+
+
+def _has_moved(before: Stage, after: Stage) -> bool:
+    """Whether an axis with its result moves otherwise beside another motion of the arm, by what raises its error by a tenth."""
+    theta = before.found.fit.theta[None]
+    runs = [(after.problem.predict(theta, r), before.problem.predict(theta, r)) for r in before.split.seen]
+    return not at_floor(math.hypot(1.0, spread_of([(one - other) / before.sigma for one, other in runs])))
 
 
 def _is_clear(result: StageResult) -> bool:
