@@ -63,16 +63,28 @@ def arm(tmp_path: Any) -> Arm:
 
 
 class Turns:
-    """A search that finds what is stated, and keeps what the other axes had when it was called."""
+    """A search that finds what is stated, and keeps what the other axes had when it was called.
 
-    def __init__(self, arm: Arm, monkeypatch: pytest.MonkeyPatch, finds: dict[str, list[tuple[str, float]]]) -> None:
+    ``fitted``: the effect with which j0 moves as it was measured. ``moved``: whether what is found moves the axes otherwise.
+    """
+
+    def __init__(
+        self, arm: Arm, monkeypatch: pytest.MonkeyPatch, finds: dict[str, list[tuple[str, float]]], moved: bool = True
+    ) -> None:
         self.arm, self.finds = arm, finds
         self.calls: list[tuple[str, list[str]]] = []
+        monkeypatch.setattr(servo_arm, "_fitted_motion", self._fitted_motion)
+        monkeypatch.setattr(servo_arm, "_has_moved", lambda before, after: moved)
         monkeypatch.setattr(servo_arm, "drive_problem", self._drive_problem)
         monkeypatch.setattr(servo_arm, "_error", lambda stage: {"j0": 3.0, "j1": 1.0, "j2": 9.0}[stage.problem.target])
 
     def _drive_problem(self, model: Any, axis: Any) -> Any:
         return replace(drive_problem(model, axis), measured=lambda recording: model.theta)
+
+    def _fitted_motion(self, case: Any, stages: Sequence[Stage]) -> dict[int, Any]:
+        unknowns = self.arm.candidates["viscous_friction", "j0"].unknowns
+        rubbing = place(case.theta, unknowns, np.ones((1, len(unknowns))))[0]
+        return {k: rubbing if k == 0 else case.theta for k in range(len(stages))}
 
     def __call__(self, stages: Sequence[Stage]) -> list[StageResult]:
         return [self._one(stage) for stage in stages]
@@ -81,7 +93,7 @@ class Turns:
         axis, theta = stage.problem.target, stage.problem.measured(None)  # type: ignore[arg-type]
         others = [n for (n, at), c in self.arm.candidates.items() if at != axis and _changed(c, theta, self.arm.theta)]
         self.calls.append((axis, sorted(others)))
-        adjusted = axis == "j2" and not others  # what the others move is adjusted in their place
+        adjusted = axis == "j2" and "armature_error" not in others  # what the others move is adjusted in their place
         result = self.arm.result(stage, axis, *self.finds.get(axis, []))
         return replace(result, adjusted=(self.arm.candidates["viscous_friction", axis],) if adjusted else ())
 
@@ -99,7 +111,7 @@ def test_axes_are_searched_from_the_largest_error_on_beside_what_was_found(arm: 
     search = Turns(arm, monkeypatch, {"j2": [("stiffness_error", 0.8)], "j0": [("armature_error", 1.3)]})
     found = beside_each_other(case_of(arm), [arm.stage(axis) for axis in ("j0", "j1", "j2")], search)
     assert search.calls == [
-        ("j2", []),
+        ("j2", ["viscous_friction"]),  # with which j0 moves as it was measured
         ("j0", ["stiffness_error"]),
         ("j1", ["armature_error", "stiffness_error"]),
         ("j2", ["armature_error"]),  # its effects did not explain it alone
@@ -108,12 +120,13 @@ def test_axes_are_searched_from_the_largest_error_on_beside_what_was_found(arm: 
     assert not any(stage.found.adjusted for stage in found)
 
 
-def test_nothing_is_searched_again_where_nothing_was_found(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
-    search = Turns(arm, monkeypatch, {"j1": [("stiffness_error", 0.8)]})
-    beside_each_other(case_of(arm), [arm.stage(axis) for axis in ("j0", "j1")], search)
-    assert search.calls == [("j0", []), ("j1", [])]
+def test_nothing_is_searched_again_where_what_was_found_moves_nothing(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Turns(arm, monkeypatch, {"j1": [("stiffness_error", 0.8)], "j2": [("armature_error", 1.3)]}, moved=False)
+    found = beside_each_other(case_of(arm), [arm.stage(axis) for axis in ("j0", "j1", "j2")], search)
+    assert [axis for axis, _ in search.calls] == ["j2", "j0", "j1"]
+    assert [len(stage.found.adjusted) for stage in found] == [0, 0, 1]
     assert beside_each_other(case_of(arm), [], search) == []
-    assert len(search.calls) == 2
+    assert len(search.calls) == 3
 
 
 def test_a_mass_takes_the_place_of_what_it_caused_on_an_axis_before(arm: Arm) -> None:

@@ -17,6 +17,7 @@ from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
 from sysid.gap.candidates import Scales, candidates_at, without_servo_aliases
 from sysid.gap.prepare.case import stage_candidates
+from sysid.gap.servo import arm as servo_arm
 from sysid.gap.steps import open_study
 from sysid.machine import Machine
 from sysid.plant import nominal_plant
@@ -170,3 +171,17 @@ def test_friction_is_damping_where_no_force_is_limited(limit: float, tmp_path: P
     single = [c for c in merged if c.effect.name == "viscous_friction" and len(c.unknowns) == 1]
     assert aliases == (set() if limit else {("damping_error", (("viscous_friction", "j0"),))})
     assert bool(single) is bool(limit)
+
+
+def test_each_axis_moves_as_it_was_measured_before_it_is_searched(tmp_path: Path) -> None:
+    machine, dataset = dataset_of(tmp_path, CASES["three"])
+    study = open_study(dataset, nominal_plant(machine))
+    case, stages = study.case, study.stages
+    before = [servo_arm._error(stage) for stage in stages]
+    fitted = servo_arm._fitted_motion(case, stages)
+    whole = servo_arm._together(case, fitted.values())
+    after = [
+        servo_arm._error(replace(servo_arm._beside(case, stage, whole), theta=fitted[k])) for k, stage in enumerate(stages)
+    ]
+    assert max(before) > 20.0
+    assert max(after) < 2.0

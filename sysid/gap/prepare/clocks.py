@@ -23,7 +23,7 @@ from sysid.datasets.recording import Dataset
 from sysid.effects import first_order_lag, gain_error, input_delay, second_order_lag
 from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
-from sysid.gap.fit import fit_candidates, spread_of
+from sysid.gap.fit import ROUGH, fit_candidates, spread_of
 from sysid.gap.problem import Problem, Split, drive_problem
 from sysid.gap.statement import CommandOrder
 from sysid.gap.thresholds import BLOCK_NATS, PRICE, STANDARD_ERRORS, at_floor
@@ -84,10 +84,11 @@ def _reacts_in_its_row(plant: Plant, problem: Problem, split: Split, noise: Mapp
     starts = [np.concatenate(nominal)]
     for k, candidate in enumerate(candidates):
         starts += [np.concatenate([*nominal[:k], np.array(row), *nominal[k + 1 :]]) for row in candidate.starts]
-    free = fit_candidates(data, theta, candidates, starts)
+    rough = fit_candidates(data, theta, candidates, starts, ROUGH)
     delay = next(c for c in candidates if c.effect is input_delay.EFFECT)
-    if free.values_of(delay)[0] > 0.5 * period:  # nearer to the other order
+    if rough.values_of(delay)[0] > 0.5 * period:  # nearer to the other order
         return False
+    free = fit_candidates(data, theta, candidates, [rough.values])
     (unknown,) = delay.unknowns
     at_least = replace(delay, unknowns=(replace(unknown, bounds=(period, unknown.bounds[1])),))
     later = fit_candidates(data, theta, tuple(at_least if c is delay else c for c in candidates), starts)

@@ -92,26 +92,33 @@ def _fitted_motion(case: Case, stages: Sequence[Stage]) -> dict[int, Array]:
     """Parameters with which each axis moves about as it was measured, beside the others; the largest error is fitted first."""
     fitted, left = dict[int, Array](), set(range(len(stages)))
     while left:
-        beside = {k: _beside(case, stages[k], _together(case, fitted.values())) for k in left}
+        whole = _together(case, fitted.values())
+        beside = {k: _beside(case, stages[k], whole) for k in left}
         worst = max(sorted(left), key=lambda k: _error(beside[k]))
-        fitted[worst] = _fitted_axis(beside[worst], stage_candidates(case, beside[worst]))
+        fitted[worst] = _fitted_axis(case, beside[worst], whole)
         left.discard(worst)
     return fitted
 
 
-def _fitted_axis(stage: Stage, candidates: Sequence[Candidate]) -> Array:
-    """Parameters with which one axis moves so: by least squares of its free run, one effect after the other."""
-    data, left = Data(stage.problem, stage.split.seen, stage.sigma), _error(stage)
-    fit = fit_candidates(data, stage.theta, (), ())
+def _fitted_axis(case: Case, stage: Stage, whole: Array) -> Array:
+    """Parameters with which one axis moves so: by least squares of its free run, one effect after the other.
+
+    The motion that its links make changes with each: the error is that beside the motion with the effects.
+    """
+    fit, left = fit_candidates(_data(stage), stage.theta, (), ()), _error(stage)
+    candidates = stage_candidates(case, stage) if not at_floor(left) else []
     while len(fit.candidates) < MOST and not at_floor(left):
+        data = _data(stage)
         larger = [
             fit_candidates(data, stage.theta, (*fit.candidates, c), [np.concatenate([fit.values, start])], ROUGH)
             for c, start in _promising(data, fit, candidates)
         ]
-        errors = [spread_of(data.residuals(each.theta[None])) for each in larger]
-        if as_little(left, min(errors, default=left)):
+        best = min(larger, key=lambda each: spread_of(data.residuals(each.theta[None])), default=fit)
+        stage = _beside(case, stage, _together(case, (whole, best.theta)))
+        before, left = left, spread_of(_data(stage).residuals(best.theta[None]))
+        if as_little(before, left):
             break
-        left, fit = min(errors), larger[int(np.argmin(errors))]
+        fit = best
     return fit.theta
 
 
@@ -131,9 +138,13 @@ def _promising(data: Data, fit: Fit, candidates: Sequence[Candidate]) -> list[tu
     return [(candidate, start) for _, candidate, start in sorted(found, key=lambda each: -each[0])[:TRIED]]
 
 
+def _data(stage: Stage) -> Data:
+    return Data(stage.problem, stage.split.seen, stage.sigma)
+
+
 def _error(stage: Stage) -> float:
     """Error of the plant under test [noise floors]."""
-    return spread_of(Data(stage.problem, stage.split.seen, stage.sigma).residuals(stage.theta[None]))
+    return spread_of(_data(stage).residuals(stage.theta[None]))
 
 
 def _has_moved(before: Stage, after: Stage) -> bool:
