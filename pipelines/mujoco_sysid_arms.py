@@ -1,6 +1,6 @@
 """`sysid gap` on generated servo arms in MuJoCo beside mujoco.sysid, which is given exactly what is wrong.
 
-    taskset -c 0 python pipelines/mujoco_sysid_arms.py --seeds 0:3 --work FOLDER
+    taskset -c 0 python pipelines/mujoco_sysid_arms.py --seeds 0:3 --work FOLDER [--publish]   # table of reports/mujoco_sysid
 
 The arms are those of the row ``servo_arm`` (:mod:`arms.servo_arm`). Both methods get the same recordings, and every result is
 an MJCF model whose run in MuJoCo is compared with the noise-free held-out recording. mujoco.sysid fits the hidden numbers
@@ -29,7 +29,7 @@ import pandas as pd
 from arms import servo_arm
 from arms.case import Hidden
 from arms.servo_arm import ServoArm
-from committed import markdown
+from committed import markdown, provenance, write_result, write_tables
 from electric_arms import seeds_of
 from mujoco_sysid import ROLES, Motion, Number, fitted_by_peer, run
 from sysid.datasets import Dataset, Recording
@@ -42,6 +42,8 @@ from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import nominal_plant
 
 Array = npt.NDArray[np.float64]
+#: Where the table is published.
+REPORT = Path(__file__).resolve().parents[1] / "reports" / "mujoco_sysid"
 #: Longest dead time that mujoco.sysid may fit [s].
 LATEST = 0.1
 
@@ -256,7 +258,7 @@ def solve(seed: int, work: Path) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(kept.read_text("utf-8"))
         return found
     case = arm_case(seed)
-    about = {"seed": seed, "joints": len(case.arm.mass), "rate_hz": case.rate_hz}
+    about: dict[str, Any] = {"seed": seed, "joints": len(case.arm.mass), "rate_hz": case.rate_hz}
     about["hidden"] = [f"{label(each)} {_values(each.parameters)}" for each in case.hidden]
     beyond = [label(each) for each in case.hidden if each.name not in NUMBERS]
     if beyond or not case.hidden:
@@ -293,42 +295,61 @@ def _figures(case: ArmCase, work: Path) -> dict[str, Any]:
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """One line an arm; errors in mrad, ratios of the times on the clock and of the processor.
+    """One line an arm, errors in mrad, times of the processor in seconds; and the medians of both ratios.
 
-    ``truth, exported``: error of the MJCF that sysid writes with exactly what is hidden, which no search undercuts by much.
+    ``truth``: error of the MJCF that sysid writes with exactly what is hidden, which no search undercuts by much.
     """
-    header = ("seed", "joints", "rate [Hz]", "hidden", "under test", "mujoco.sysid", "sysid gap", "ratio")
-    header += ("truth, exported", "mujoco.sysid [s]", "sysid gap [s]", "ratio", "of the processor", "named by sysid gap")
+    header = "seed joints rate_[Hz] hidden under_test mujoco.sysid sysid_gap truth ratio mujoco.sysid_[s] sysid_gap_[s] ratio".split()
+    header = [name.replace("_", " ") for name in (*header, "named_by_sysid_gap")]
     lines = []
     for row in rows:
         cells = [str(row["seed"]), str(row["joints"]), f"{row['rate_hz']:g}", ", ".join(row["hidden"])]
         if "left_out" in row:
-            cells += ["–"] * 9 + [f"left out: {row['left_out']}"]
+            cells += ["–"] * 8 + [f"left out: {row['left_out']}"]
         elif "failed" in row:
-            errors = [f"{1e3 * row[key]:.3g}" for key in ("under_test", "peer")]
-            cells += [*errors, "–", "–", "–", f"{row['peer_seconds']['wall']:.1f}", "–", "–", "–", row["failed"]]
+            cells += [*(f"{1e3 * row[key]:.3g}" for key in ("under_test", "peer")), *["–"] * 6, row["failed"]]
         else:
-            cells += [f"{1e3 * row[key]:.3g}" for key in ("under_test", "peer", "ours")]
-            cells += [f"{row['ours'] / row['peer']:.2f}", f"{1e3 * row['written_truth']:.3g}"]
-            cells += [f"{row[key]['wall']:.1f}" for key in ("peer_seconds", "ours_seconds")]
-            cells += [f"{row['ours_seconds'][key] / row['peer_seconds'][key]:.2f}" for key in ("wall", "processor")]
-            cells += [", ".join(row["named"]) or "nothing"]
+            cells += [f"{1e3 * row[key]:.3g}" for key in ("under_test", "peer", "ours", "written_truth")]
+            cells += [f"{row['ours'] / row['peer']:.2f}", *(f"{row[key]['processor']:.1f}" for key in SECONDS)]
+            cells += [f"{_slower(row):.1f}", ", ".join(row["named"]) or "nothing"]
         lines.append(cells)
-    return markdown(header, lines, "rrrlrrrrrrrrrl")
+    solved = [row for row in rows if "ours" in row]
+    if not solved:
+        return markdown(header, lines, "rrrlrrrrrrrrl")
+    error, slower = (
+        float(np.median([ratio(row) for row in solved])) for ratio in (lambda row: row["ours"] / row["peer"], _slower)
+    )
+    medians = f"Medians of {len(solved)} arms: {error:.2f} times its error, {slower:.1f} times its time."
+    return f"{markdown(header, lines, 'rrrlrrrrrrrrl')}\n\n{medians}"
+
+
+#: Times of both methods in a row.
+SECONDS = ("peer_seconds", "ours_seconds")
+
+
+def _slower(row: Mapping[str, Any]) -> float:
+    """Ratio of the processor times of `sysid gap` and mujoco.sysid."""
+    peer_seconds, ours_seconds = (float(row[key]["processor"]) for key in SECONDS)
+    return ours_seconds / peer_seconds
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="0:1", help="FIRST:LAST, both included")
     parser.add_argument("--work", type=Path, required=True, help="folder of answers and repaired models")
+    parser.add_argument("--publish", action="store_true", help="write reports/mujoco_sysid/arms.json and the table of its page")
     args = parser.parse_args()
     args.work.mkdir(parents=True, exist_ok=True)
     rows = []
     for seed in seeds_of(args.seeds):
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
             rows.append(pool.submit(solve, seed, args.work).result())
-        print(table(rows[-1:]).splitlines()[-1], flush=True)
+        print(table(rows[-1:]).splitlines()[2], flush=True)
     print("\n" + table(rows))
+    if args.publish:
+        head = provenance(f"python pipelines/mujoco_sysid_arms.py --seeds {args.seeds} --publish", None, ("mujoco",))
+        write_result(REPORT / "arms.json", {**head, "arms": rows})
+        write_tables(REPORT / "README.md", table(rows), "pipelines/mujoco_sysid_arms.py")
 
 
 if __name__ == "__main__":
