@@ -299,8 +299,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 
     ``truth``: error of the MJCF that sysid writes with exactly what is hidden, which no search undercuts by much.
     """
-    header = "seed joints rate_[Hz] hidden under_test mujoco.sysid sysid_gap truth ratio mujoco.sysid_[s] sysid_gap_[s] ratio".split()
-    header = [name.replace("_", " ") for name in (*header, "named_by_sysid_gap")]
+    header = ["seed", "joints", "rate [Hz]", "hidden", "under test", "mujoco.sysid", "sysid gap", "truth", "ratio"]
+    header += ["mujoco.sysid [s]", "sysid gap [s]", "ratio", "named by sysid gap"]
     lines = []
     for row in rows:
         cells = [str(row["seed"]), str(row["joints"]), f"{row['rate_hz']:g}", ", ".join(row["hidden"])]
