@@ -12,12 +12,9 @@ from sysid.names import check_name
 from sysid.parse import parse_json
 from sysid.registry.artifacts import checked
 from sysid.registry.decision import PromotionDecision
-from sysid.registry.seal import REMEDY, broken_model, broken_version
+from sysid.registry.seal import REMEDY, broken_version
 from sysid.registry.stored import DECISION, DIGEST, LATEST_MS, MANIFEST, METRICS, StoredModel, StoredVersion
-from sysid.registry.version import CHAMPION, Kind, ModelVersion, check_files, sha256
-
-#: Alias of the champion in registries of earlier releases.
-OLD_CHAMPION = "promoted"
+from sysid.registry.version import Kind, ModelVersion, check_files, sha256
 
 
 class _Manifest(TypedDict):
@@ -34,14 +31,6 @@ _MANIFEST = TypeAdapter(_Manifest)
 _METRICS = TypeAdapter(dict[str, float])
 
 
-def aliases_of(model: StoredModel) -> dict[str, int]:
-    """Alias → version number."""
-    aliases = dict(model.aliases)
-    if OLD_CHAMPION in aliases:
-        aliases.setdefault(CHAMPION, aliases.pop(OLD_CHAMPION))
-    return aliases
-
-
 def check_stored_name(model: StoredModel) -> None:
     """Refuse a name that is not safe in paths, queries and references.
 
@@ -52,17 +41,6 @@ def check_stored_name(model: StoredModel) -> None:
         check_name(model.name)
     except SettingsError as error:
         raise StoreError(error.where, error.found, error.expected, "Was it made by another program?") from None
-
-
-def check_model(model: StoredModel) -> None:
-    """Refuse aliases and lists of versions that do not match the seal.
-
-    Raises:
-        StoreError: they were changed by hand.
-    """
-    broken = broken_model(model)
-    if broken is not None:
-        raise broken
 
 
 def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
@@ -98,7 +76,7 @@ def version_of(model: StoredModel, entry: StoredVersion) -> ModelVersion:
         lineage=lineage,
         metrics=metrics,
         sha256=files,
-        aliases=tuple(sorted(alias for alias, target in aliases_of(model).items() if target == entry.number)),
+        aliases=tuple(sorted(alias for alias, target in model.aliases.items() if target == entry.number)),
         created_ms=entry.created_ms,
         decisions=decisions,
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ _PAGE = 1000
 
 
 class ServerTables:
-    """The models at ``uri``.
+    """The models at ``uri``, read and changed as those of :class:`sysid.registry.tables.WorkspaceTables`.
 
     Args:
         workspace: holds the journal, and the lock for the processes of this workspace.
@@ -47,7 +48,8 @@ class ServerTables:
     def models(self) -> tuple[StoredModel, ...]:
         self._finish()
         with mlflow_errors(self._uri):
-            return tuple(self._model(name) for name in self._names())
+            names = sorted(model.name for model in self._all(self.client.search_registered_models))
+            return tuple(self._model(name) for name in names)
 
     def change(self, name: str, build: ChangeBuilder) -> StoredModel:
         _ = self.client  # before the lock: the import takes seconds, an unreachable server longer
@@ -116,29 +118,23 @@ class ServerTables:
             return there[0]
         return int(self.client.create_model_version(name, new.source, run_id=run, tags=dict(new.tags)).version)
 
-    def _names(self) -> list[str]:
-        names: list[str] = []
+    def _all(self, search: Callable[..., Any], *what: str) -> Iterator[Any]:
+        """What a search finds, page after page."""
         token = None
         while True:
-            page = self.client.search_registered_models(max_results=_PAGE, page_token=token)
-            names += [model.name for model in page]
+            page = search(*what, max_results=_PAGE, page_token=token)
+            yield from page
             token = page.token
             if not token:
-                return sorted(names)
+                return
 
     def _model(self, name: str) -> StoredModel:
         if not is_name(name):  # of another program; not safe in a query
             return StoredModel(name)
-        versions: list[StoredVersion] = []
-        token = None
-        while True:
-            page = self.client.search_model_versions(f"name='{name}'", max_results=_PAGE, page_token=token)
-            for entry in page:
-                created, tags = int(entry.creation_timestamp), dict(entry.tags)
-                versions.append(StoredVersion(int(entry.version), created, str(entry.source), tags))
-            token = page.token
-            if not token:
-                break
+        versions = [
+            StoredVersion(int(entry.version), int(entry.creation_timestamp), str(entry.source), dict(entry.tags))
+            for entry in self._all(self.client.search_model_versions, f"name='{name}'")
+        ]
         versions.sort(key=lambda version: version.number)
         if not versions:
             return StoredModel(name)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 #: Tags of an MLflow version; each decision has its own, so that none is rewritten.
 DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.metrics", "sysid.decision"
@@ -98,27 +98,3 @@ class ModelChange:
 
 #: Current state of a model, under the lock → its change; None: no change.
 ChangeBuilder = Callable[[StoredModel], ModelChange | None]
-
-
-class Tables(Protocol):
-    """Reads models, and changes one of them at a time."""
-
-    #: Whether only this toolkit sets aliases, so that other changes are errors.
-    seals_aliases: bool
-
-    def model(self, name: str) -> StoredModel:
-        """One model; without versions if there is none of this name."""
-        ...
-
-    def models(self) -> tuple[StoredModel, ...]:
-        """Every model, by name; creates and migrates nothing."""
-        ...
-
-    def change(self, name: str, build: ChangeBuilder) -> StoredModel:
-        """Apply the change that ``build`` returns, atomically; returns the changed model.
-
-        Raises:
-            StoreError: the registry is in use, unreachable, or invalid.
-            StorageError: the disk is full or read-only; nothing was changed.
-        """
-        ...
