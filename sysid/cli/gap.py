@@ -8,11 +8,9 @@ from typing import Literal
 
 import click
 
-from sysid.cli.executor_options import cluster_option, workers_option
-from sysid.cli.gap_mujoco import repaired_path, write_model
 from sysid.cli.gap_tables import show_gap, show_localised, show_missing, show_repair, show_responses, show_world
-from sysid.cli.output import Printer, command, json_option, progress_bar, write_json
-from sysid.cli.own_simulator import MUJOCO, open_simulator
+from sysid.cli.output import Printer, cluster_option, command, json_option, progress_bar, workers_option, write_json
+from sysid.cli.own_simulator import MUJOCO, open_simulator, repaired_path, write_model
 
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
 
@@ -88,7 +86,7 @@ def gap(
     json_file: str | None,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
-    from sysid.cli.checks import show_checked
+    from sysid.cli.dataset_tables import show_checked
     from sysid.datasets import Store
     from sysid.datasets.checks.roles import check_needs
     from sysid.errors import SettingsError

@@ -11,7 +11,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from sysid.progress_bar import progress_bar as progress_bar
 
 if TYPE_CHECKING:
     from sysid.figures import Table
+
 
 json_option = click.option(
     "--json",
@@ -241,3 +242,20 @@ def closed_stdout_ignored(ignore: bool = True) -> Iterator[None]:
                 continue
             with contextlib.suppress(OSError, ValueError):
                 os.dup2(nowhere, stream.fileno())
+
+
+workers_option = click.option(
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes on this machine."
+)
+
+
+def cluster_option(describes: str = "Address of a Dask scheduler, as tcp://HOST:PORT.") -> Callable[[Any], Any]:
+    """``--cluster`` and ``--trusted-network``; ``describes``: help of the first."""
+    address = click.option("--cluster", envvar="SYSID_CLUSTER", default=None, metavar="ADDRESS", help=describes)
+    trusted = click.option(
+        "--trusted-network",
+        envvar="SYSID_TRUSTED_NETWORK",
+        is_flag=True,
+        help="Accept a scheduler without TLS on another computer: any computer of the network can then run programs here.",
+    )
+    return lambda command: address(trusted(command))

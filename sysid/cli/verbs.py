@@ -53,7 +53,7 @@ VERBS: dict[str, Verb] = {
     "ingest": Verb("sysid.cli.ingest:ingest", "Turn raw logs into a new dataset version."),
     "datasets": Verb("sysid.cli.datasets:datasets", "List dataset versions, or show one."),
     "fit": Verb("sysid.cli.fit:fit", "Fit the actuator, motion or forward networks of a dataset."),
-    "validate": Verb("sysid.cli.validate:validate", "Evaluate a fitted network on held-out recordings."),
+    "validate": Verb("sysid.cli.fit:validate", "Evaluate a fitted network on held-out recordings."),
     "models": Verb("sysid.cli.models:models", "List model versions, show, promote, compare or export one."),
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
     "fleet": Verb("sysid.cli.fleet:fleet", "Compare many machines of one type, and watch them for drift."),

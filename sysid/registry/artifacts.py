@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.errors import StoreError
-from sysid.registry.record import RECORDS, Record, read_records, with_record
+from sysid.registry.stored import RECORDS, Record, read_records, with_record
 from sysid.registry.version import MANIFEST, sha256
 from sysid.root import Root
 

@@ -11,22 +11,20 @@ import builtins
 import functools
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.errors import SettingsError, StoreError, nearest
+from sysid.errors import SettingsError, StorageError, StoreError, nearest
 from sysid.names import check_name
 from sysid.registry.artifacts import FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, disk_errors
-from sysid.registry.decision import PromotionDecision, now_ms
-from sysid.registry.entries import check_stored_name, decision_key, kind_of, version_of
-from sysid.registry.record import Record
+from sysid.registry.decision import Check, Promotion, PromotionDecision, now_ms
+from sysid.registry.entries import broken_model, check_stored_name, decision_key, kind_of, sealed, version_of
 from sysid.registry.repair import RepairReport, repair
-from sysid.registry.seal import broken_model, sealed
 from sysid.registry.server import ServerTables
-from sysid.registry.stored import DIGEST, MANIFEST, METRICS, ModelChange, StoredModel, StoredVersion
+from sysid.registry.stored import DIGEST, MANIFEST, METRICS, ModelChange, Record, StoredModel, StoredVersion
 from sysid.registry.tables import WorkspaceTables
 from sysid.registry.version import (
     CANDIDATE,
@@ -303,3 +301,40 @@ def _decision_tag(version: ModelVersion, decision: PromotionDecision) -> dict[in
     if version.decisions and version.decisions[-1].same(decision):
         return {}
     return {version.version: {decision_key(decision): decision.to_text()}}
+
+
+def decide(
+    registry: Registry,
+    version: str,
+    champion: ModelVersion | None,
+    checks: Sequence[Check],
+    judged: Mapping[str, Any] | None = None,
+    word: str = "",
+) -> Promotion:
+    """Promote a stored version if all checks pass, and record the decision with it.
+
+    Args:
+        version: ``name@version``.
+        champion: the champion when the checks were made.
+        judged: basis of the decision, for the record.
+        word: the user's reason to promote it regardless of the checks; recorded.
+
+    Raises:
+        StorageError: the disk is full or read-only.
+    """
+    previous = champion.reference if champion is not None else ""
+    reason = "; ".join(check.text for check in checks if check.status == "failed")
+    promoted = bool(word) or not reason
+    decision = PromotionDecision(promoted, previous, tuple(checks), reason, word, dict(judged or {}), now_ms())
+    if not promoted:
+        registry.record(version, decision)
+        return Promotion(version, previous, previous, tuple(checks), reason)
+    if version != previous:
+        try:
+            registry.promote(version, instead_of=champion, decision=decision)
+        except StorageError:
+            raise
+        except StoreError as error:  # another champion was set in the meantime
+            now = registry.promoted(version.partition("@")[0])
+            return Promotion(version, now.reference if now else "", previous, tuple(checks), str(error))
+    return Promotion(version, version, previous, tuple(checks))

@@ -1,13 +1,22 @@
-"""Unchecked rows of a model in a registry (numbers, tags, aliases), and changes of them.
+"""Unchecked rows of a model in a registry (numbers, tags, aliases), changes of them, and ``registered.json`` beside its files,
+from which a lost registry is rebuilt: it has names and numbers with time and figures, neither aliases nor decisions.
 
 Both registries (:mod:`sysid.registry.tables`, :mod:`sysid.registry.server`) use these values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field, TypeAdapter
+
+from sysid.errors import SysidError
+from sysid.names import check_name
+from sysid.parse import parse_json
+from sysid.root import Root
 
 #: Tags of an MLflow version; each decision has its own, so that none is rewritten.
 DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.metrics", "sysid.decision"
@@ -98,3 +107,39 @@ class ModelChange:
 
 #: Current state of a model, under the lock → its change; None: no change.
 ChangeBuilder = Callable[[StoredModel], ModelChange | None]
+
+
+RECORDS = "registered.json"
+
+
+@dataclass(frozen=True)
+class Record:
+    """One row: name, number, time of registration [ms since 1970], figures as JSON text."""
+
+    name: Annotated[str, AfterValidator(check_name)]
+    version: Annotated[int, Field(gt=0)]
+    created_ms: Annotated[int, Field(ge=0, le=LATEST_MS)]
+    metrics: str
+
+    @staticmethod
+    def of(name: str, version: StoredVersion) -> Record:
+        return Record(name, version.number, version.created_ms, version.tags.get(METRICS, "{}"))
+
+
+_RECORDS = TypeAdapter(tuple[Record, ...])
+
+
+def read_records(root: Root, folder: str) -> tuple[Record, ...]:
+    """The rows beside the files in ``folder``; empty if they are missing, damaged, or reached by a link."""
+    try:
+        values = parse_json(root.read(f"{folder}/{RECORDS}"))
+        return _RECORDS.validate_python(values["registered"])
+    except (OSError, ValueError, KeyError, TypeError, SysidError):
+        return ()
+
+
+def with_record(records: Sequence[Record], record: Record) -> bytes:
+    """The file content for ``records`` with ``record``, which replaces the one of the same name."""
+    others = [other for other in records if other.name != record.name]
+    rows = [asdict(row) for row in sorted([*others, record], key=lambda row: row.name)]
+    return (json.dumps({"schema": 1, "registered": rows}, indent=2) + "\n").encode("utf-8")

@@ -12,7 +12,7 @@ import numpy as np
 from sysid.datasets.channels import Mounts, combined_mounts
 from sysid.datasets.clocks.records import KnownSkew, skews_of
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
-from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of
+from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of, with_joint_units
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role, Source
@@ -31,7 +31,6 @@ from sysid.datasets.tasks.steps import (
     to_reading,
     to_refused,
 )
-from sysid.datasets.unstated_units import with_joint_units
 from sysid.datasets.versions.files import UNCHANGED, explained
 from sysid.datasets.versions.manifest import Manifest, new_part
 from sysid.datasets.versions.store import Store

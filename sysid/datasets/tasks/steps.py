@@ -29,7 +29,7 @@ from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_ti
 from sysid.datasets.clocks.resets import Piece
 from sysid.datasets.discover import RecordingFiles
 from sysid.datasets.frames.bodies import MissingFrames
-from sysid.datasets.plan import Plan
+from sysid.datasets.plan import Plan, rate_notes
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality.describe import describe
 from sysid.datasets.quality.use import Scale
@@ -37,7 +37,6 @@ from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Kind, Recording
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import rows_of
-from sysid.datasets.unstated_units import rate_notes
 from sysid.datasets.versions.files import UNCHANGED, Files, explained, scratch_folder
 from sysid.datasets.versions.store import Store
 from sysid.datasets.versions.tables import Columns, clock_entries, read_channel_file, write_channel_file, write_sample_file
