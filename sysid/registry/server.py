@@ -17,7 +17,7 @@ from sysid.errors import StoreError
 from sysid.names import is_name
 from sysid.parse import parse_json
 from sysid.registry.client import disk_errors, exclusive, mlflow_errors, open_client
-from sysid.registry.stored import DIGEST, ChangeBuilder, ModelChange, StoredModel, StoredVersion
+from sysid.registry.stored import CHANGE, DIGEST, ChangeBuilder, ModelChange, StoredModel, StoredVersion
 from sysid.root import Root
 
 _PAGE = 1000
@@ -60,7 +60,7 @@ class ServerTables:
             change = build(before)
             if change is None:
                 return before
-            text = json.dumps({"uri": self._uri, "name": name, "change": change.to_json()})
+            text = json.dumps({"uri": self._uri, "name": name, "change": CHANGE.dump_python(change, mode="json")})
             with disk_errors(self._workspace):
                 self._root.write(self.journal, text.encode("utf-8"))
             with mlflow_errors(self._uri):
@@ -78,7 +78,7 @@ class ServerTables:
         """Complete the journalled change of a killed process."""
         try:
             values = parse_json(self._root.read(self.journal))
-            name, change = str(values["name"]), ModelChange.from_json(values["change"])
+            name, change = str(values["name"]), CHANGE.validate_python(values["change"])
         except FileNotFoundError:
             return
         except (OSError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
@@ -78,33 +78,9 @@ class ModelChange:
     aliases: Mapping[str, int | None] = field(default_factory=dict)
     tags: Mapping[str, str] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, Any]:
-        new = self.new
-        return {
-            "new": None if new is None else [new.number, new.created_ms, new.source, dict(new.tags)],
-            "run": self.run,
-            "version_tags": {str(number): dict(tags) for number, tags in self.version_tags.items()},
-            "aliases": dict(self.aliases),
-            "tags": dict(self.tags),
-        }
 
-    @staticmethod
-    def from_json(values: Mapping[str, Any]) -> ModelChange:
-        """What :meth:`to_json` gave.
-
-        Raises:
-            KeyError, TypeError, ValueError, AttributeError: it is something else.
-        """
-        new = values["new"]
-        return ModelChange(
-            None if new is None else StoredVersion(int(new[0]), int(new[1]), str(new[2]), dict(new[3])),
-            values["run"],
-            {int(number): dict(tags) for number, tags in values["version_tags"].items()},
-            dict(values["aliases"]),
-            dict(values["tags"]),
-        )
-
-
+#: A change as plain values, and back.
+CHANGE = TypeAdapter(ModelChange)
 #: Current state of a model, under the lock → its change; None: no change.
 ChangeBuilder = Callable[[StoredModel], ModelChange | None]
 
