@@ -64,7 +64,7 @@ def ingest(
     not hold. Their role is --role, else that of the recipe's splits, else fit. Machine and recipe are those of NAME.
     """
     if propose_frame:
-        from sysid.cli.ingest_frame import propose
+        from sysid.cli.ingest_inspect import propose
 
         propose(paths, machine, recipe, json_file)
         return

@@ -59,7 +59,7 @@ VERBS: dict[str, Verb] = {
     "fleet": Verb("sysid.cli.fleet:fleet", "Compare many machines of one type, and watch them for drift."),
     "export": Verb("sysid.cli.export:export", "Write a plant for another simulator, with its replay."),
     "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
-    "report": Verb("sysid.cli.report:report", "Write the HTML report of a dataset."),
+    "report": Verb("sysid.cli.view:report", "Write the HTML report of a dataset."),
     "ui": Verb("sysid.cli.ui:ui", "Write the workspace as linked pages, or serve them."),
     "demo": Verb("sysid.cli.demo:demo", "Run the whole workflow on the shipped logs."),
 }

@@ -17,8 +17,8 @@ import pytest
 from mjcf_logs import dataset_of_runs, machine_of
 from robots import robot
 
+from sysid.cli.gap import write_model
 from sysid.cli.output import Printer
-from sysid.cli.own_simulator import write_model
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError
 from sysid.gap import find_gap
