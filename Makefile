@@ -81,7 +81,7 @@ robots: $(READY)
 
 # A Dask scheduler on tcp://127.0.0.1:8786 with WORKERS worker processes, until Ctrl-C.
 cluster: $(READY)
-	$(BIN)/python -m sysid.execution.loopback $(WORKERS)
+	$(BIN)/python pipelines/scaling/loopback.py $(WORKERS)
 
 # An S3-compatible server for tests on http://127.0.0.1:5000, until Ctrl-C, in an environment of its own: it needs many packages.
 STORE := $(VENV)-object-store

@@ -24,7 +24,7 @@ from committed import markdown, write_tables
 from drafted.machines import FACTORS, LENGTHS, Axis, Machine, generate
 from sysid.datasets import ingest
 from sysid.datasets.drafting import Description, Question, describe
-from sysid.datasets.drafting.question import Answers
+from sysid.datasets.drafting.fields import Answers
 from sysid.datasets.recipe import SignalMap, load_recipe
 from sysid.errors import SysidError
 from sysid.logs.inspection import FileSummary, inspect_file

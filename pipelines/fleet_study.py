@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,12 @@ import numpy as np
 from committed import ROOT, markdown, provenance, write_result, write_tables
 from fleet.false_alarms import measured, pooled
 from fleet.sealed import BEFORE, CURRIE, FIRST, NAMED, SECONDS, HiddenMachine, later, sealed, write_first
+from sysid.config import parse_settings
 from sysid.datasets import ingest
 from sysid.fleet import fleet_gap
 from sysid.fleet.drift import drifts
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
 from sysid.fleet.estimates import estimate, name_effects
-from sysid.fleet.result import FleetMachine
 from sysid.workspace import open_workspace
 
 SEED = 20261126
@@ -46,7 +46,7 @@ def name_machine(machine: HiddenMachine, work: Path, seed: int) -> None:
 def watch_machine(machine: HiddenMachine, effects: Sequence[FleetEffect], work: Path, seed: int) -> dict[str, Any]:
     """The values of the effects of the type in all recordings, and their drifts; kept for the next call."""
     kept = work / "machines" / f"{machine.name}.json"
-    chosen = [effect.to_json() for effect in effects]
+    chosen = [asdict(effect) for effect in effects]
     if kept.exists() and (known := json.loads(kept.read_text()))["effects"] == json.loads(json.dumps(chosen)):
         return dict(known)
     place = open_workspace(work / "workspace")
@@ -55,7 +55,7 @@ def watch_machine(machine: HiddenMachine, effects: Sequence[FleetEffect], work: 
     before, after = estimate(dataset, plant, effects), estimate(dataset, plant, effects, later=later(machine, seed))
     histories = [_joined(one, more) for one, more in zip(before, after, strict=True)]
     found = drifts(histories, FALSE_ALARMS / 1000.0)
-    values = {"effects": chosen, "histories": [h.to_json() for h in histories], "drifts": [d.to_json() for d in found]}
+    values = {"effects": chosen, "histories": [asdict(h) for h in histories], "drifts": [asdict(d) for d in found]}
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(values))
     return dict(json.loads(kept.read_text()))
@@ -106,7 +106,7 @@ def study(machines: list[HiddenMachine], work: Path, seed: int, hours: int) -> d
 
 
 def _histories(result: dict[str, Any]) -> dict[tuple[str, str], ParameterHistory]:
-    found = map(ParameterHistory.from_json, result["histories"])
+    found = [parse_settings(values, ParameterHistory, "history") for values in result["histories"]]
     return {(h.effect.name, h.parameter): h for h in found}
 
 
@@ -118,8 +118,10 @@ def _calm(machine: HiddenMachine, result: dict[str, Any]) -> list[ParameterHisto
         history = _histories(result).get(key)
         if history is not None:
             kept = [k for k, name in enumerate(history.recordings) if _number(name) < last]
-            parts = {key: [getattr(history, key)[k] for k in kept] for key in ("recordings", "ends", "values", "deviations")}
-            found.append(ParameterHistory.from_json({**history.to_json(), **parts}))
+            parts = {
+                key: tuple(getattr(history, key)[k] for k in kept) for key in ("recordings", "ends", "values", "deviations")
+            }
+            found.append(replace(history, **parts))
     return found if len({h.recordings for h in found}) == 1 else []
 
 
@@ -225,7 +227,7 @@ def main() -> None:
         name_machine(machine, options.work, options.seed)
         print(machine.name, flush=True)
     if options.watch:
-        named = [FleetMachine.from_json(name_effects(str(options.work / "workspace"), f"{m.name}@1", None)) for m in machines]
+        named = [name_effects(str(options.work / "workspace"), f"{m.name}@1", None) for m in machines]
         for machine in machines:
             watch_machine(machine, union(item.effects for item in named), options.work, options.seed)
     if options.publish:

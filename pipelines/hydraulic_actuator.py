@@ -19,7 +19,8 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
-from sysid.cli.gap_tables import show_gap, show_repeatability
+from repeatability import show_repeatability
+from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.datasets import Dataset, Recording, ingest
 from sysid.gap import find_gap

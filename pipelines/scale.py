@@ -27,11 +27,11 @@ from committed import ROOT, markdown, provenance, write_result, write_tables
 from scaling.estimate import CORES, HEAD, MACHINES, RAW_BYTES, estimate_rows, exponent
 from scaling.gap import HEAD as GAP_HEAD
 from scaling.gap import gap_rows, table_rows
+from scaling.loopback import HOST, commands, running
 from scaling.measured_executor import MeasuredExecutor, nothing
 from sysid.datasets import Dataset, Store, ingest
 from sysid.execution import Executor, LocalExecutor
 from sysid.execution.cluster import ClusterExecutor
-from sysid.execution.loopback import HOST, commands, running
 
 DEMO = ROOT / "datasets/autolog"
 RESULT, PAGE = ROOT / "reports/scale/result.json", ROOT / "reports/bench/README.md"

@@ -11,7 +11,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from sysid.cli.gap_tables import show_gap, show_repeatability
+from repeatability import show_repeatability
+from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.datasets import ingest
 from sysid.gap import GapResult, find_gap

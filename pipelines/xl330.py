@@ -16,7 +16,8 @@ from typing import Any
 
 import pandas as pd
 
-from sysid.cli.gap_tables import show_gap, show_repeatability
+from repeatability import show_repeatability
+from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.config import read_toml
 from sysid.datasets import Dataset, ingest

@@ -13,7 +13,7 @@ from loop.flight import Flight
 from loop.rounds import Round
 from sysid.machine import Machine
 from sysid.signals import axis_signal, point_signals
-from sysid.view import write_tracks
+from sysid_rl.train.rerun_tracks import write_tracks
 
 Array = npt.NDArray[np.float64]
 

@@ -126,7 +126,7 @@ def split(
     suggested ones, by the motion of every axis in each role.
     """
     if suggest:
-        from sysid.cli.roles import show_suggestion
+        from sysid.cli.dataset_tables import show_suggestion
 
         if fit or select or held_out:
             raise SettingsError("sysid datasets split", "--suggest with roles", "one of them")

@@ -7,8 +7,7 @@ from typing import Literal
 
 import click
 
-from sysid.cli.executor_options import cluster_option, workers_option
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.output import Printer, cluster_option, json_option, progress_bar, workers_option, write_json
 
 #: The page, relative to the workspace; the next call replaces it.
 PAGE = "fleet/fleet.html"

@@ -13,16 +13,14 @@ from sysid.cli.output import command
 from sysid.display import percent, quantity
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from sysid.cli.output import Printer
     from sysid.datasets import Dataset
     from sysid.figures import ParameterFigure
     from sysid.gap import GapResult
-    from sysid.gap.repeatability import RepeatedEffect
     from sysid.gap.result import NearMissResult
-    from sysid.machine import EffectKey, Machine
+    from sysid.machine import EffectKey
 
 #: Names of recordings in a sentence.
 RECORDINGS = 8
@@ -293,28 +291,3 @@ def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
         out.table(header, rows, right=range(1, 5))
     if found.skipped:
         out.line(f"Not run in the PyBullet world: {found.skipped}")
-
-
-def show_repeatability(out: Printer, repeats: Sequence[RepeatedEffect], machine: Machine) -> None:
-    """Share of the runs in which each effect was named, and the spread of its values."""
-    from sysid.reports.result_figures import parameters_of
-
-    if not repeats:
-        out.line("no effect was named in any run")
-        return
-    words = {
-        "consistent": "consistent",
-        "moves": "NOT consistent: value varies",
-        "sometimes": "NOT consistent: not named in all runs",
-    }
-    rows = []
-    for item in repeats:
-        first = (item.name, item.target, f"{len(item.named)} of {len(item.shown)}")
-        for number, (key, values) in enumerate(item.parameters.items()):
-            low, middle, high = (
-                parameters_of(item.name, item.target, {key: value}, machine)[0].text
-                for value in (min(values), item.median(key), max(values))
-            )
-            tail = (key, middle, f"{low} … {high}", f"{100.0 * item.spread(key):.0f} %")
-            rows.append((*(first if number == 0 else ("", "", "")), *tail, words[item.verdict] if number == 0 else ""))
-    out.table(("effect", "target", "named in", "parameter", "median", "range", "±", "over the runs"), rows, right=(2, 4, 5, 6))

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.dataset_tables import show_dataset
-from sysid.cli.executor_options import cluster_option, workers_option
-from sysid.cli.output import Printer, command, json_option, write_json
+from sysid.cli.output import Printer, cluster_option, command, json_option, workers_option, write_json
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def ingest(
     not hold. Their role is --role, else that of the recipe's splits, else fit. Machine and recipe are those of NAME.
     """
     if propose_frame:
-        from sysid.cli.ingest_frame import propose
+        from sysid.cli.ingest_inspect import propose
 
         propose(paths, machine, recipe, json_file)
         return
@@ -77,7 +76,7 @@ def ingest(
     for option, value in (("--draft", draft), ("--reader", reader), ("--dbc", dbc)):
         if value is not None:
             raise SettingsError(option, "given without --inspect", "both, or neither", "Add --inspect.")
-    from sysid.cli.checks import show_findings, show_roles
+    from sysid.cli.dataset_tables import show_findings, show_roles
     from sysid.cli.datasets import describe
     from sysid.datasets import Store
     from sysid.datasets.checks.run import check_plausibility

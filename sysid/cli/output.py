@@ -11,7 +11,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from sysid.progress_bar import progress_bar as progress_bar
 
 if TYPE_CHECKING:
     from sysid.figures import Table
+
 
 json_option = click.option(
     "--json",
@@ -215,29 +216,18 @@ def write_json_text(json_file: str | Path | None, text: str) -> None:
         half.write_text(text, "utf-8")
 
 
-def open_standard_streams() -> None:
-    """Open closed standard streams on the null device; else a device would get their descriptor and receive printed text."""
-    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(descriptor, True)
-    os.close(descriptor)
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - as long as the process
+workers_option = click.option(
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes on this machine."
+)
 
 
-@contextlib.contextmanager
-def closed_stdout_ignored(ignore: bool = True) -> Iterator[None]:
-    """Printing within to a closed stdout does not change the exit status, unless ``ignore`` is false."""
-    try:
-        yield
-        sys.stdout.flush()
-    except (OSError, SystemExit):  # rich raises SystemExit on a broken pipe
-        if not ignore:
-            raise
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):
-                stream.flush()
-                continue
-            with contextlib.suppress(OSError, ValueError):
-                os.dup2(nowhere, stream.fileno())
+def cluster_option(describes: str = "Address of a Dask scheduler, as tcp://HOST:PORT.") -> Callable[[Any], Any]:
+    """``--cluster`` and ``--trusted-network``; ``describes``: help of the first."""
+    address = click.option("--cluster", envvar="SYSID_CLUSTER", default=None, metavar="ADDRESS", help=describes)
+    trusted = click.option(
+        "--trusted-network",
+        envvar="SYSID_TRUSTED_NETWORK",
+        is_flag=True,
+        help="Accept a scheduler without TLS on another computer: any computer of the network can then run programs here.",
+    )
+    return lambda command: address(trusted(command))

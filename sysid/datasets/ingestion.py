@@ -12,14 +12,26 @@ from sysid.datasets.channels import Mounts, ReadRecording, read_channels, survey
 from sysid.datasets.checks.run import flag_rows
 from sysid.datasets.clocks.records import KnownSkew, RecordingClocks, aligned, by_source
 from sysid.datasets.discover import RecordingFiles, check_recordings, check_refused, check_sources, count_files, discover
-from sysid.datasets.plan import Plan, content_of, made_by, notes_of, placed, plan_of, sources_of, streams_of, units_of
+from sysid.datasets.plan import (
+    Plan,
+    command_notes,
+    content_of,
+    made_by,
+    notes_of,
+    placed,
+    plan_of,
+    rate_notes,
+    sources_of,
+    streams_of,
+    units_of,
+    with_joint_units,
+)
 from sysid.datasets.quality.describe import describe
 from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes, split
 from sysid.datasets.tasks.driver import TaskIngest
 from sysid.datasets.tasks.steps import aligned_recording, stream_signals
-from sysid.datasets.unstated_units import command_notes, rate_notes, with_joint_units
 from sysid.datasets.versions.files import scratch_folder
 from sysid.datasets.versions.manifest import PartRecord, digest_of
 from sysid.datasets.versions.store import Store

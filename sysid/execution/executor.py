@@ -17,7 +17,7 @@ from sysid.children import end_with_parent, safe_children
 from sysid.errors import SysidError
 from sysid.progress import Progress, part, silent
 
-#: A function of plain values, at module level, that returns JSON values.
+#: A function at module level; its arguments and its result travel between processes (pickle).
 Task = Callable[..., Any]
 
 

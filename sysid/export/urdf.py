@@ -7,7 +7,6 @@ frames: lengths of links, offset of the tip, pose of the base.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from sysid.effects import Effect
 from sysid.export.drive_module import MODULE, load_module, true_signals, write_drive_model, write_effect_table
 from sysid.export.names import MachineNames, Names
 from sysid.export.target import Simulation, Start, Support, support_of
-from sysid.machine.kinematics import Joint, Kinematics, origin_pose, rotation_about
+from sysid.machine.kinematics import Joint, Kinematics, origin_pose, roll_pitch_yaw, rotation_about
 from sysid.machine.urdf_tree import MOVING, followed, moments_of, urdf_tree
 from sysid.plant import Plant
 from sysid.signals import point_signals
@@ -240,14 +239,6 @@ def _fixed(root: Element, name: str, ends: tuple[str, str], turn: Array, place: 
 def _set_origin(origin: Element, turn: Array, place: Array) -> None:
     origin.set("xyz", " ".join(repr(float(x)) for x in place))
     origin.set("rpy", " ".join(repr(x) for x in roll_pitch_yaw(turn)))
-
-
-def roll_pitch_yaw(turn: Array) -> tuple[float, float, float]:
-    """Fixed-axis angles of a rotation matrix, R = Rz(yaw)·Ry(pitch)·Rx(roll) [rad]."""
-    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
-    if math.hypot(turn[0, 0], turn[1, 0]) < 1e-12:  # yaw and roll turn about one axis
-        return math.atan2(-turn[1, 2], turn[1, 1]), pitch, 0.0
-    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
 
 
 def _set_dynamics(root: Element, plant: Plant, axis: str, name: str) -> None:

@@ -119,26 +119,6 @@ def set_value(prim: Any, name: str, kind: Any, value: Any) -> None:
     prim.CreateAttribute(name, kind).Set(value)
 
 
-def undeclared(stage: Any) -> list[str]:
-    """Authored properties and applied schemas that no registered schema declares, of every prim."""
-    from pxr import Usd
-
-    registry, found = Usd.SchemaRegistry(), []
-    for prim in stage.Traverse():
-        known = set(prim.GetPrimDefinition().GetPropertyNames())
-        found += [str(p.GetPath()) for p in prim.GetAuthoredProperties() if p.GetName() not in known and not _is_transform(p)]
-        for name in prim.GetAppliedSchemas():
-            if registry.FindAppliedAPIPrimDefinition(name.partition(":")[0]) is None:
-                found.append(f"{prim.GetPath()}: {name}")
-        if prim.GetTypeName() and registry.FindConcretePrimDefinition(prim.GetTypeName()) is None:
-            found.append(f"{prim.GetPath()}: {prim.GetTypeName()}")
-    return found
-
-
-def _is_transform(prop: Any) -> bool:
-    return str(prop.GetName()).startswith("xformOp:")
-
-
 def _joints(root: Element) -> list[JointEntry]:
     """Joints of a URDF."""
     found = []

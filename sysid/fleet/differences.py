@@ -13,8 +13,7 @@ together (Holm, Scand. J. Stat. 6 (1979), 65).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -65,9 +64,6 @@ class Difference:
     p_value: float | None
     deviating: tuple[str, ...]
     differs: bool
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def differences(histories: Sequence[ParameterHistory]) -> tuple[Difference, ...]:

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -59,9 +58,6 @@ class Drift:
     before95: tuple[float, float]
     after: float
     after95: tuple[float, float]
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def drifts(histories: Sequence[ParameterHistory], false_alarms_per_hour: float) -> tuple[Drift, ...]:

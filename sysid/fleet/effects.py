@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -40,13 +40,6 @@ class FleetEffect(Strict):
         """The effect of a gap result."""
         return cls(effect.name, effect.target, effect.side, tuple(effect.parameters))
 
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> FleetEffect:
-        return cls(values["name"], values["target"], values["side"], tuple(values["parameters"]))
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
-
 
 def union(machines: Iterable[Sequence[FleetEffect]]) -> tuple[FleetEffect, ...]:
     """The effects of all machines, each in its form with the most parameters, in the order of their first appearance."""
@@ -80,12 +73,3 @@ class ParameterHistory(Strict):
     ends: tuple[float, ...]
     values: tuple[float, ...]
     deviations: tuple[Annotated[float, Field(gt=0.0)], ...]
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> ParameterHistory:
-        rows = {key: tuple(values[key]) for key in ("recordings", "ends", "values", "deviations")}
-        effect = FleetEffect.from_json(values["effect"])
-        return cls(values["machine"], effect, values["parameter"], values["unit"], values["negligible"], **rows)
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from sysid.config import parse_settings
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects.units import parameter_unit
 from sysid.files import json_text, write_durably
@@ -33,7 +35,7 @@ from sysid.workspace import Workspace, open_workspace
 Array = npt.NDArray[np.float64]
 
 
-def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
+def name_effects(location: str, reference: str, plant: str | None) -> FleetMachine:
     """Task: the gap of one machine, from a stored result of this dataset version and plant if there is one.
 
     Args:
@@ -49,17 +51,17 @@ def name_effects(location: str, reference: str, plant: str | None) -> dict[str, 
         return _machine(dataset, stored.verdict, stored.effects)
     own = _own_file(place, dataset, tested)
     if own.exists():
-        return dict(json.loads(own.read_text("utf-8")))
+        return parse_settings(json.loads(own.read_text("utf-8")), FleetMachine, own)
     result = find_gap(dataset, tested, place.models)
     if stored is None:
         place.keep_gap(dataset, result)  # for the report; one of another plant is not replaced
     machine = _machine(dataset, result.verdict, result.effects)
-    write_durably(own, json_text(machine).encode(), "fleet", "Make room in the workspace, and call again.")
+    write_durably(own, json_text(asdict(machine)).encode(), "fleet", "Make room in the workspace, and call again.")
     return machine
 
 
-def _machine(dataset: Dataset, verdict: Any, effects: Any) -> dict[str, Any]:
-    return FleetMachine(dataset.reference, verdict, tuple(map(FleetEffect.of, effects))).to_json()
+def _machine(dataset: Dataset, verdict: Any, effects: Any) -> FleetMachine:
+    return FleetMachine(dataset.reference, verdict, tuple(map(FleetEffect.of, effects)))
 
 
 def plant_sha256(plant: Plant) -> str:

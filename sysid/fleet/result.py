@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from sysid.config import Strict
@@ -32,13 +31,6 @@ class FleetMachine(Strict):
     def name(self) -> str:
         """The name of the dataset, without its version."""
         return self.dataset.partition("@")[0]
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> FleetMachine:
-        return cls(values["dataset"], values["verdict"], tuple(map(FleetEffect.from_json, values["effects"])))
-
-    def to_json(self) -> dict[str, Any]:
-        return {"dataset": self.dataset, "verdict": self.verdict, "effects": [effect.to_json() for effect in self.effects]}
 
 
 @dataclass(frozen=True)
@@ -82,16 +74,7 @@ class FleetResult:
     def to_json(self) -> dict[str, Any]:
         return {
             "schema": 1,
-            "machines": _listed(self.machines),
-            "effects": [{**effect.to_json(), "named_on": list(self.named_on(effect))} for effect in self.effects],
-            "differences": _listed(self.differences),
-            "drifts": _listed(self.drifts),
+            **asdict(self),
+            "effects": [{**asdict(effect), "named_on": list(self.named_on(effect))} for effect in self.effects],
             "notes": list(self.notes),
-            "histories": _listed(self.histories),
-            "false_alarms_per_1000_hours": self.false_alarms_per_1000_hours,
-            "seconds": self.seconds,
         }
-
-
-def _listed(items: Sequence[Any]) -> list[dict[str, Any]]:
-    return [item.to_json() for item in items]

@@ -107,9 +107,6 @@ class WatchState(Strict):
             if unknown := [name for name in history.recordings if name not in known]:
                 raise ValueError(f"histories of the recordings that are listed, not of {unknown[0]!r}")
 
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class WatchResult:
@@ -137,7 +134,7 @@ class WatchResult:
             "dataset": self.dataset,
             "new": list(self.new),
             "dropped": list(self.dropped),
-            "noticed": [drift.to_json() for drift in self.noticed],
+            "noticed": [asdict(drift) for drift in self.noticed],
             "added": list(found.added),
             "replaced": [{"recording": name, "by": by} for name, by in found.replaced],
             "repeated": [{"recording": name, "of": other} for name, other in found.repeated],
@@ -216,7 +213,7 @@ def _begin(
     machines = []
     for number, reference in enumerate(exact_references(place, (name, *like))):
         progress(0.8 * number / (1 + len(like)), f"{reference}: naming its effects")
-        machines.append(FleetMachine.from_json(name_effects(str(place.location), reference, plant)))
+        machines.append(name_effects(str(place.location), reference, plant))
     machine = replace(machines[0], effects=union(item.effects for item in machines))
     dataset = place.dataset(machine.dataset)
     tested = place.plant(dataset, plant)
@@ -394,5 +391,5 @@ def _stored(place: Workspace, path: str, kind: type[T], what: str, remedy: str, 
 
 
 def _keep(place: Workspace, path: str, state: WatchState | SeenLogs) -> None:
-    content = json_text(state.to_json()).encode()
+    content = json_text(asdict(state)).encode()
     write_durably(place.output(path), content, "watch", "Make room in the workspace, and call again.")

@@ -7,7 +7,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from sysid.errors import SettingsError
 from sysid.execution import Executor, LocalExecutor
@@ -93,14 +92,12 @@ def fleet_gap(
     calls = [(text, reference, plant) for reference in exact]
     histories: list[ParameterHistory] = []
     with executor.kept() as kept:
-        named = kept.run(name_effects, calls, part(progress, 0.0, 0.7))
-        machines = [FleetMachine.from_json(values) for values in named]
+        machines: list[FleetMachine] = kept.run(name_effects, calls, part(progress, 0.0, 0.7))
         effects = union(machine.effects for machine in machines)
         if effects:
-            chosen = [effect.to_json() for effect in effects]
-            fits = [(text, reference, plant, chosen) for reference in exact]
+            fits = [(text, reference, plant, effects) for reference in exact]
             for rows in kept.run(estimate_effects, fits, part(progress, 0.7, 1.0)):
-                histories += map(ParameterHistory.from_json, rows)
+                histories += rows
     progress(1.0, "done")
     changes = drifts(histories, false_alarms_per_1000_hours / 1000.0)
     return FleetResult(
@@ -115,12 +112,11 @@ def fleet_gap(
 
 
 def estimate_effects(
-    location: str, reference: str, plant: str | None, effects: Sequence[dict[str, Any]]
-) -> list[dict[str, Any]]:
+    location: str, reference: str, plant: str | None, effects: Sequence[FleetEffect]
+) -> tuple[ParameterHistory, ...]:
     """Task: the values of the fleet's effects in every recording of one machine."""
     from sysid.fleet.estimates import estimate
 
     place = open_workspace(location)
     dataset = place.dataset(reference)
-    found = estimate(dataset, place.plant(dataset, plant), [FleetEffect.from_json(effect) for effect in effects])
-    return [history.to_json() for history in found]
+    return tuple(estimate(dataset, place.plant(dataset, plant), effects))

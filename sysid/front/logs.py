@@ -179,7 +179,7 @@ def draft(
         ask: called with a description that has questions, until it has none or there is no further answer.
     """
     from sysid.datasets.drafting import describe
-    from sysid.datasets.drafting.question import Answers
+    from sysid.datasets.drafting.fields import Answers
     from sysid.logs.inspection import inspect_file, log_files
     from sysid.names import slug
 

@@ -242,6 +242,14 @@ def _vector(element: Element | None, key: str, default: str, where: str) -> Arra
     return np.array([number(word, Finite, f"{where}: {key}={shown(text)}") for word in words])
 
 
+def roll_pitch_yaw(turn: Array) -> tuple[float, float, float]:
+    """Fixed-axis angles of a rotation matrix, R = Rz(yaw)·Ry(pitch)·Rx(roll) [rad]."""
+    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
+    if math.hypot(turn[0, 0], turn[1, 0]) < 1e-9:  # yaw and roll turn about one axis
+        return math.atan2(-turn[1, 2], turn[1, 1]), pitch, 0.0
+    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
+
+
 def _from_rpy(rpy: Array) -> Array:
     """Fixed-axis roll, pitch, yaw as in the URDF specification."""
     rotation = np.eye(3)

@@ -56,13 +56,6 @@ class ComparedModel:
     worse: float
     standard_error: float
 
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
-
-    @staticmethod
-    def from_json(entry: Mapping[str, Any]) -> ComparedModel:
-        return ComparedModel(**entry)
-
 
 def selected_fit(
     geometry: Geometry, poses: PoseSet, elastic: bool = True, start: PoseFit | None = None
@@ -297,7 +290,7 @@ class Calibration:
         return {
             "parameters": [parameter.to_json() for parameter in self.parameters],
             "non_identifiable": [[list(part) for part in combination] for combination in self.non_identifiable],
-            "models": [model.to_json() for model in self.models],
+            "models": [asdict(model) for model in self.models],
             "noise": self.noise,
             "frame": self.geometry.frame.tolist(),
         }
@@ -362,7 +355,7 @@ def put_result(calibration: Calibration) -> dict[str, Any]:
         "open": [[list(part) for part in combination] for combination in calibration.non_identifiable],
         "free": [key for key, free in zip(keys, calibration.estimated, strict=True) if free],
         "supports": {keys[index]: [support.gain, support.alternative] for index, support in supports.items()},
-        "models": [model.to_json() for model in calibration.models],
+        "models": [asdict(model) for model in calibration.models],
     }
 
 
@@ -372,5 +365,5 @@ def take_result(entry: Mapping[str, Any], calibration: Calibration) -> Calibrati
     combinations = tuple(tuple((str(key), float(weight)) for key, weight in part) for part in entry["open"])
     free = np.isin(keys, entry["free"]) if "free" in entry else calibration.estimated
     supports = {keys.index(key): Support(float(gain), other) for key, (gain, other) in entry.get("supports", {}).items()}
-    models = tuple(ComparedModel.from_json(model) for model in entry.get("models", ()))
+    models = tuple(ComparedModel(**model) for model in entry.get("models", ()))
     return replace(calibration, non_identifiable=combinations, free=free, supports=supports, models=models)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import stretches
 from sysid.datasets.recording import Dataset, Role
 from sysid.errors import ExcitationError
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTripError, fit_actuator
@@ -174,7 +175,7 @@ def recording_windows(
     for segment in parts:
         rate, stride = segment.recording.rate_hz, correction.stride(segment.recording.rate_hz)
         values, truth = (segment.recording.values(signal)[segment.start : segment.stop] for signal in signals)
-        for begin, end in runs_of(np.isfinite(values)):
+        for begin, end in zip(*stretches(np.isfinite(values)), strict=True):
             count = (end - begin) // stride
             if count < MIN_UPDATES:
                 continue
@@ -186,12 +187,6 @@ def recording_windows(
                 )
             )
     return found
-
-
-def runs_of(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Begin and end (excluded) of every run of True."""
-    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def static_maps(networks: Mapping[str, ActuatorNetwork | HistoryNetwork]) -> dict[str, ActuatorNetwork]:

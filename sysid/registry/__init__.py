@@ -1,11 +1,19 @@
 """Versions of networks, plants and policies with their lineage, in an MLflow model registry (loaded late)."""
 
 from sysid.registry.decision import Check, Promotion, PromotionDecision
-from sysid.registry.lineage import ancestors, dataset_descendants, descendants
-from sysid.registry.promotion import decide
-from sysid.registry.registry import DamagedModel, Registry
+from sysid.registry.registry import DamagedModel, Registry, decide
 from sysid.registry.repair import RepairReport
-from sysid.registry.version import CANDIDATE, CHAMPION, KINDS, NETWORKS, Kind, ModelVersion
+from sysid.registry.version import (
+    CANDIDATE,
+    CHAMPION,
+    KINDS,
+    NETWORKS,
+    Kind,
+    ModelVersion,
+    ancestors,
+    dataset_descendants,
+    descendants,
+)
 
 __all__ = [
     "CANDIDATE",

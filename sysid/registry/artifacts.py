@@ -7,10 +7,10 @@ import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from sysid.errors import StoreError
-from sysid.registry.record import RECORDS, Record, read_records, with_record
+from sysid.registry.stored import RECORDS, Record, read_records, with_record
 from sysid.registry.version import MANIFEST, sha256
 from sysid.root import Root
 
@@ -19,32 +19,20 @@ _PARTIAL = ".partial-"
 _EXPERIMENT = "sysid"
 
 
-class ArtifactStore(Protocol):
-    """Stores the files of a version under its digest; both methods are idempotent."""
-
-    def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
-        """Store all files or none; returns (source URI, MLflow run id or None).
-
-        Args:
-            record: the row of the registry, stored so that a lost registry can be rebuilt.
-        """
-        ...
-
-    def read(self, digest: str, source: str, name: str) -> bytes:
-        """Content of one file, not yet checked."""
-        ...
-
-
 @dataclass(frozen=True)
 class FolderArtifacts:
-    """``<folder>/<digest>/<file>``; found by digest, so that a workspace may be moved."""
+    """``<folder>/<digest>/<file>``; found by digest, so that a workspace may be moved. Both methods are idempotent."""
 
     folder: Path
 
     def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
-        """Write to a temporary folder that is synced and renamed; a damaged file is replaced.
+        """Store all files or none; returns (source URI, MLflow run id or None). A damaged file is replaced.
 
-        Requires the registry's lock: other temporary folders are then of killed processes, and are removed.
+        They are written to a temporary folder that is synced and renamed. Requires the registry's lock: other temporary folders
+        are then of killed processes, and are removed.
+
+        Args:
+            record: the row of the registry, stored so that a lost registry can be rebuilt.
         """
         root, models = Root(self.folder.parent), self.folder.name
         target = f"{models}/{digest}"
@@ -71,6 +59,7 @@ class FolderArtifacts:
         return (self.folder / digest).resolve().as_uri(), None
 
     def read(self, digest: str, source: str, name: str) -> bytes:
+        """Content of one file, not yet checked."""
         path = self.folder / digest / name
         try:
             return Root(self.folder.parent).read(f"{self.folder.name}/{digest}/{name}")
@@ -90,7 +79,7 @@ class RunArtifacts:
     uri: str
 
     def write(self, digest: str, files: Mapping[str, bytes], manifest: str, record: Record) -> tuple[str, str | None]:
-        """As :meth:`ArtifactStore.write`, without ``record``: the server stores its own rows."""
+        """As :meth:`FolderArtifacts.write`, without ``record``: the server stores its own rows."""
         experiment = self.client.get_experiment_by_name(_EXPERIMENT)
         identity = experiment.experiment_id if experiment else self.client.create_experiment(_EXPERIMENT)
         run = self.client.create_run(identity, run_name=digest[:12], tags={"sysid.digest": digest})

@@ -73,11 +73,8 @@ class PromotionDecision:
         """Whether both are equal except for their time."""
         return replace(self, decided_ms=0) == replace(other, decided_ms=0)
 
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
-
     def to_text(self) -> str:
-        return json.dumps(self.to_json(), ensure_ascii=False, sort_keys=True, separators=(",", ":"))
+        return json.dumps(asdict(self), ensure_ascii=False, sort_keys=True, separators=(",", ":"))
 
     @staticmethod
     def from_text(text: str, where: object) -> PromotionDecision:

@@ -11,22 +11,20 @@ import builtins
 import functools
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from sysid.errors import SettingsError, StoreError, nearest
+from sysid.errors import SettingsError, StorageError, StoreError, nearest
 from sysid.names import check_name
-from sysid.registry.artifacts import ArtifactStore, FolderArtifacts, RunArtifacts, checked
+from sysid.registry.artifacts import FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, disk_errors
-from sysid.registry.decision import PromotionDecision, now_ms
-from sysid.registry.entries import aliases_of, check_model, check_stored_name, decision_key, kind_of, version_of
-from sysid.registry.record import Record
+from sysid.registry.decision import Check, Promotion, PromotionDecision, now_ms
+from sysid.registry.entries import broken_model, check_stored_name, decision_key, kind_of, sealed, version_of
 from sysid.registry.repair import RepairReport, repair
-from sysid.registry.seal import sealed
 from sysid.registry.server import ServerTables
-from sysid.registry.stored import DIGEST, MANIFEST, METRICS, ModelChange, StoredModel, StoredVersion, Tables
+from sysid.registry.stored import DIGEST, MANIFEST, METRICS, ModelChange, Record, StoredModel, StoredVersion
 from sysid.registry.tables import WorkspaceTables
 from sysid.registry.version import (
     CANDIDATE,
@@ -67,7 +65,7 @@ class Registry:
         given = uri or os.environ.get(URI_VARIABLE) or None
         self.uri = given or f"{SQLITE}{(self._workspace / 'registry.db').resolve()}"
         self.server = ServerTables(self._workspace, given, wait_s) if given is not None else None
-        self._tables: Tables = self.server or WorkspaceTables(self._workspace, wait_s)
+        self._tables = self.server or WorkspaceTables(self._workspace, wait_s)
 
     def register(
         self,
@@ -173,7 +171,7 @@ class Registry:
     def promoted(self, name: str) -> ModelVersion | None:
         """The champion of ``name``; None if none was promoted, or there is no such model."""
         model = self._model(check_name(name))
-        number = aliases_of(model).get(CHAMPION)
+        number = model.aliases.get(CHAMPION)
         return next((version_of(model, entry) for entry in model.own if entry.number == number), None)
 
     def promote(
@@ -193,45 +191,43 @@ class Registry:
             StoreError: no such version, or the champion is another one than ``instead_of``.
         """
         name, _ = split_reference(reference)
-        number = 0
 
-        def build(model: StoredModel) -> ModelChange:
-            nonlocal number
-            version = self._chosen(model, reference)[0]
-            number = version.version
-            known = aliases_of(model)
-            if instead_of != "any" and known.get(CHAMPION) != (instead_of and instead_of.version):
-                now, expected = (
-                    f"{name}@{n}" if n else "no version" for n in (known.get(CHAMPION), instead_of and instead_of.version)
-                )
-                raise StoreError(
-                    f"{name}@{CHAMPION}",
-                    f"means {now}",
-                    expected,
-                    "It was changed in the meantime; check it and decide again.",
-                )
+        def build(model: StoredModel, version: ModelVersion) -> ModelChange:
+            number, champion = version.version, model.aliases.get(CHAMPION)
+            if instead_of != "any" and champion != (instead_of and instead_of.version):
+                now, expected = (f"{name}@{n}" if n else "no version" for n in (champion, instead_of and instead_of.version))
+                remedy = "It was changed in the meantime; check it and decide again."
+                raise StoreError(f"{name}@{CHAMPION}", f"means {now}", expected, remedy)
             aliases: dict[str, int | None] = {CHAMPION: number}
-            if known.get(CANDIDATE) == number:
+            if model.aliases.get(CANDIDATE) == number:
                 aliases[CANDIDATE] = None
             tags = _decision_tag(version, decision) if decision is not None else {}
-            return self._sealed(model, ModelChange(version_tags=tags, aliases=aliases))
+            return ModelChange(version_tags=tags, aliases=aliases)
 
-        model = self._tables.change(name, build)
-        return self._chosen(model, f"{name}@{number}")[0]
+        return self._changed(reference, build)
 
     def record(self, reference: str, decision: PromotionDecision) -> ModelVersion:
         """Store a decision with a version, unless it equals the last one."""
-        name, _ = split_reference(reference)
+
+        def build(model: StoredModel, version: ModelVersion) -> ModelChange | None:
+            tags = _decision_tag(version, decision)
+            return ModelChange(version_tags=tags) if tags else None
+
+        return self._changed(reference, build)
+
+    def _changed(self, reference: str, build: Callable[[StoredModel, ModelVersion], ModelChange | None]) -> ModelVersion:
+        """A version after the change of its model that ``build`` returns."""
         number = 0
 
-        def build(model: StoredModel) -> ModelChange | None:
+        def sealed_change(model: StoredModel) -> ModelChange | None:
             nonlocal number
             version = self._chosen(model, reference)[0]
             number = version.version
-            tags = _decision_tag(version, decision)
-            return self._sealed(model, ModelChange(version_tags=tags)) if tags else None
+            change = build(model, version)
+            return None if change is None else self._sealed(model, change)
 
-        model = self._tables.change(name, build)
+        name, _ = split_reference(reference)
+        model = self._tables.change(name, sealed_change)
         return self._chosen(model, f"{name}@{number}")[0]
 
     def repair(self, accept: bool = False) -> RepairReport:
@@ -245,7 +241,7 @@ class Registry:
         return repair(self._workspace, accept, self._wait_s)
 
     @functools.cached_property
-    def _artifacts(self) -> ArtifactStore:
+    def _artifacts(self) -> FolderArtifacts | RunArtifacts:
         if self.server is not None:
             return RunArtifacts(self.server.client, self.uri)
         return FolderArtifacts(self._workspace / "models")
@@ -257,8 +253,10 @@ class Registry:
         return self._checked(self._tables.model(name))
 
     def _checked(self, model: StoredModel) -> StoredModel:
-        if self._tables.seals_aliases:
-            check_model(model)
+        """Raise where aliases or the list of versions were changed by hand."""
+        broken = broken_model(model) if self._tables.seals_aliases else None
+        if broken is not None:
+            raise broken
         return model
 
     def _find(self, reference: str) -> tuple[ModelVersion, str]:
@@ -272,7 +270,7 @@ class Registry:
             known = [other.name for other in self._tables.models() if other.own]
             raise StoreError(f"model registry {self.uri}", f"no model {name!r}", nearest(name, known))
         self._checked(model)
-        number = choose([entry.number for entry in model.own], aliases_of(model), name, selector)
+        number = choose([entry.number for entry in model.own], model.aliases, name, selector)
         entry = next(entry for entry in model.own if entry.number == number)
         return version_of(model, entry), entry.source
 
@@ -286,12 +284,10 @@ def _surveyed(model: StoredModel, aliases: bool) -> builtins.list[ModelVersion |
         check_stored_name(model)
     except StoreError as error:
         return [DamagedModel(model.name, error)]
-    if aliases:
-        try:
-            check_model(model)
-        except StoreError as error:
-            found.append(DamagedModel(model.name, error))
-            model = replace(model, aliases={})  # they are not reliable
+    broken = broken_model(model) if aliases else None
+    if broken is not None:
+        found.append(DamagedModel(model.name, broken))
+        model = replace(model, aliases={})  # they are not reliable
     for entry in model.own:
         try:
             found.append(version_of(model, entry))
@@ -305,3 +301,40 @@ def _decision_tag(version: ModelVersion, decision: PromotionDecision) -> dict[in
     if version.decisions and version.decisions[-1].same(decision):
         return {}
     return {version.version: {decision_key(decision): decision.to_text()}}
+
+
+def decide(
+    registry: Registry,
+    version: str,
+    champion: ModelVersion | None,
+    checks: Sequence[Check],
+    judged: Mapping[str, Any] | None = None,
+    word: str = "",
+) -> Promotion:
+    """Promote a stored version if all checks pass, and record the decision with it.
+
+    Args:
+        version: ``name@version``.
+        champion: the champion when the checks were made.
+        judged: basis of the decision, for the record.
+        word: the user's reason to promote it regardless of the checks; recorded.
+
+    Raises:
+        StorageError: the disk is full or read-only.
+    """
+    previous = champion.reference if champion is not None else ""
+    reason = "; ".join(check.text for check in checks if check.status == "failed")
+    promoted = bool(word) or not reason
+    decision = PromotionDecision(promoted, previous, tuple(checks), reason, word, dict(judged or {}), now_ms())
+    if not promoted:
+        registry.record(version, decision)
+        return Promotion(version, previous, previous, tuple(checks), reason)
+    if version != previous:
+        try:
+            registry.promote(version, instead_of=champion, decision=decision)
+        except StorageError:
+            raise
+        except StoreError as error:  # another champion was set in the meantime
+            now = registry.promoted(version.partition("@")[0])
+            return Promotion(version, now.reference if now else "", previous, tuple(checks), str(error))
+    return Promotion(version, version, previous, tuple(checks))

@@ -18,10 +18,19 @@ from pathlib import Path
 from sysid.errors import StoreError
 from sysid.files import on_disk, written_whole
 from sysid.registry.client import disk_errors, exclusive, locked
-from sysid.registry.record import Record, read_records
+from sysid.registry.entries import broken_model, broken_version, changed, is_sealed, sealed, sealed_aliases
 from sysid.registry.schema import clear_drafts, empty_registry, migrate, missing, revision
-from sysid.registry.seal import broken_model, broken_version, changed, is_sealed, sealed, sealed_aliases
-from sysid.registry.stored import DECISION, DIGEST, MANIFEST, METRICS, ModelChange, StoredModel, StoredVersion
+from sysid.registry.stored import (
+    DECISION,
+    DIGEST,
+    MANIFEST,
+    METRICS,
+    ModelChange,
+    Record,
+    StoredModel,
+    StoredVersion,
+    read_records,
+)
 from sysid.registry.tables import WorkspaceTables, apply, models_of
 from sysid.registry.version import CANDIDATE, CHAMPION, sha256
 from sysid.registry.version import MANIFEST as MANIFEST_FILE

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import importlib.util
-import os
 import sqlite3
 import tempfile
 from contextlib import closing, suppress
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from sysid.errors import StoreError
 from sysid.files import on_disk, written_whole
+from sysid.location import cache_home
 from sysid.registry.client import SQLITE, open_client, quieten
 
 #: Columns that :mod:`sysid.registry.tables` uses; MLflow has had them since the end of 2023.
@@ -42,7 +42,7 @@ REMEDY = "Run `sysid models repair`: it migrates the registry, or rebuilds it fr
 
 def empty_registry() -> bytes:
     """An sqlite file with the tables of the installed MLflow, without models."""
-    folder, stem = _cache_folder(), f"registry-{_origin()}"
+    folder, stem = cache_home() / "registry", f"registry-{_origin()}"
     for path in sorted(folder.glob(f"{stem}-*.db")):
         content = path.read_bytes()
         if path.stem == f"{stem}-{_digest(content)}":
@@ -138,10 +138,6 @@ def _origin() -> str:
         for path in sorted((Path(folder) / "store" / "db_migrations" / "versions").glob("*.py"))
     ]
     return f"mlflow-{versions[0]}-{_digest(chr(10).join([*versions, *migrations]).encode())}"
-
-
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache") / "sysid" / "registry"
 
 
 def _digest(content: bytes) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,14 @@ from sysid.errors import StoreError
 from sysid.names import is_name
 from sysid.parse import parse_json
 from sysid.registry.client import disk_errors, exclusive, mlflow_errors, open_client
-from sysid.registry.stored import DIGEST, ChangeBuilder, ModelChange, StoredModel, StoredVersion
+from sysid.registry.stored import CHANGE, DIGEST, ChangeBuilder, ModelChange, StoredModel, StoredVersion
 from sysid.root import Root
 
 _PAGE = 1000
 
 
 class ServerTables:
-    """The models at ``uri``.
+    """The models at ``uri``, read and changed as those of :class:`sysid.registry.tables.WorkspaceTables`.
 
     Args:
         workspace: holds the journal, and the lock for the processes of this workspace.
@@ -47,7 +48,8 @@ class ServerTables:
     def models(self) -> tuple[StoredModel, ...]:
         self._finish()
         with mlflow_errors(self._uri):
-            return tuple(self._model(name) for name in self._names())
+            names = sorted(model.name for model in self._all(self.client.search_registered_models))
+            return tuple(self._model(name) for name in names)
 
     def change(self, name: str, build: ChangeBuilder) -> StoredModel:
         _ = self.client  # before the lock: the import takes seconds, an unreachable server longer
@@ -58,7 +60,7 @@ class ServerTables:
             change = build(before)
             if change is None:
                 return before
-            text = json.dumps({"uri": self._uri, "name": name, "change": change.to_json()})
+            text = json.dumps({"uri": self._uri, "name": name, "change": CHANGE.dump_python(change, mode="json")})
             with disk_errors(self._workspace):
                 self._root.write(self.journal, text.encode("utf-8"))
             with mlflow_errors(self._uri):
@@ -76,7 +78,7 @@ class ServerTables:
         """Complete the journalled change of a killed process."""
         try:
             values = parse_json(self._root.read(self.journal))
-            name, change = str(values["name"]), ModelChange.from_json(values["change"])
+            name, change = str(values["name"]), CHANGE.validate_python(values["change"])
         except FileNotFoundError:
             return
         except (OSError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
@@ -116,29 +118,23 @@ class ServerTables:
             return there[0]
         return int(self.client.create_model_version(name, new.source, run_id=run, tags=dict(new.tags)).version)
 
-    def _names(self) -> list[str]:
-        names: list[str] = []
+    def _all(self, search: Callable[..., Any], *what: str) -> Iterator[Any]:
+        """What a search finds, page after page."""
         token = None
         while True:
-            page = self.client.search_registered_models(max_results=_PAGE, page_token=token)
-            names += [model.name for model in page]
+            page = search(*what, max_results=_PAGE, page_token=token)
+            yield from page
             token = page.token
             if not token:
-                return sorted(names)
+                return
 
     def _model(self, name: str) -> StoredModel:
         if not is_name(name):  # of another program; not safe in a query
             return StoredModel(name)
-        versions: list[StoredVersion] = []
-        token = None
-        while True:
-            page = self.client.search_model_versions(f"name='{name}'", max_results=_PAGE, page_token=token)
-            for entry in page:
-                created, tags = int(entry.creation_timestamp), dict(entry.tags)
-                versions.append(StoredVersion(int(entry.version), created, str(entry.source), tags))
-            token = page.token
-            if not token:
-                break
+        versions = [
+            StoredVersion(int(entry.version), int(entry.creation_timestamp), str(entry.source), dict(entry.tags))
+            for entry in self._all(self.client.search_model_versions, f"name='{name}'")
+        ]
         versions.sort(key=lambda version: version.number)
         if not versions:
             return StoredModel(name)

@@ -1,13 +1,22 @@
-"""Unchecked rows of a model in a registry (numbers, tags, aliases), and changes of them.
+"""Unchecked rows of a model in a registry (numbers, tags, aliases), changes of them, and ``registered.json`` beside its files,
+from which a lost registry is rebuilt: it has names and numbers with time and figures, neither aliases nor decisions.
 
 Both registries (:mod:`sysid.registry.tables`, :mod:`sysid.registry.server`) use these values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Annotated
+
+from pydantic import AfterValidator, Field, TypeAdapter
+
+from sysid.errors import SysidError
+from sysid.names import check_name
+from sysid.parse import parse_json
+from sysid.root import Root
 
 #: Tags of an MLflow version; each decision has its own, so that none is rewritten.
 DIGEST, MANIFEST, METRICS, DECISION = "sysid.digest", "sysid.manifest", "sysid.metrics", "sysid.decision"
@@ -69,56 +78,44 @@ class ModelChange:
     aliases: Mapping[str, int | None] = field(default_factory=dict)
     tags: Mapping[str, str] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, Any]:
-        new = self.new
-        return {
-            "new": None if new is None else [new.number, new.created_ms, new.source, dict(new.tags)],
-            "run": self.run,
-            "version_tags": {str(number): dict(tags) for number, tags in self.version_tags.items()},
-            "aliases": dict(self.aliases),
-            "tags": dict(self.tags),
-        }
 
-    @staticmethod
-    def from_json(values: Mapping[str, Any]) -> ModelChange:
-        """What :meth:`to_json` gave.
-
-        Raises:
-            KeyError, TypeError, ValueError, AttributeError: it is something else.
-        """
-        new = values["new"]
-        return ModelChange(
-            None if new is None else StoredVersion(int(new[0]), int(new[1]), str(new[2]), dict(new[3])),
-            values["run"],
-            {int(number): dict(tags) for number, tags in values["version_tags"].items()},
-            dict(values["aliases"]),
-            dict(values["tags"]),
-        )
-
-
+#: A change as plain values, and back.
+CHANGE = TypeAdapter(ModelChange)
 #: Current state of a model, under the lock → its change; None: no change.
 ChangeBuilder = Callable[[StoredModel], ModelChange | None]
 
 
-class Tables(Protocol):
-    """Reads models, and changes one of them at a time."""
+RECORDS = "registered.json"
 
-    #: Whether only this toolkit sets aliases, so that other changes are errors.
-    seals_aliases: bool
 
-    def model(self, name: str) -> StoredModel:
-        """One model; without versions if there is none of this name."""
-        ...
+@dataclass(frozen=True)
+class Record:
+    """One row: name, number, time of registration [ms since 1970], figures as JSON text."""
 
-    def models(self) -> tuple[StoredModel, ...]:
-        """Every model, by name; creates and migrates nothing."""
-        ...
+    name: Annotated[str, AfterValidator(check_name)]
+    version: Annotated[int, Field(gt=0)]
+    created_ms: Annotated[int, Field(ge=0, le=LATEST_MS)]
+    metrics: str
 
-    def change(self, name: str, build: ChangeBuilder) -> StoredModel:
-        """Apply the change that ``build`` returns, atomically; returns the changed model.
+    @staticmethod
+    def of(name: str, version: StoredVersion) -> Record:
+        return Record(name, version.number, version.created_ms, version.tags.get(METRICS, "{}"))
 
-        Raises:
-            StoreError: the registry is in use, unreachable, or invalid.
-            StorageError: the disk is full or read-only; nothing was changed.
-        """
-        ...
+
+_RECORDS = TypeAdapter(tuple[Record, ...])
+
+
+def read_records(root: Root, folder: str) -> tuple[Record, ...]:
+    """The rows beside the files in ``folder``; empty if they are missing, damaged, or reached by a link."""
+    try:
+        values = parse_json(root.read(f"{folder}/{RECORDS}"))
+        return _RECORDS.validate_python(values["registered"])
+    except (OSError, ValueError, KeyError, TypeError, SysidError):
+        return ()
+
+
+def with_record(records: Sequence[Record], record: Record) -> bytes:
+    """The file content for ``records`` with ``record``, which replaces the one of the same name."""
+    others = [other for other in records if other.name != record.name]
+    rows = [asdict(row) for row in sorted([*others, record], key=lambda row: row.name)]
+    return (json.dumps({"schema": 1, "registered": rows}, indent=2) + "\n").encode("utf-8")

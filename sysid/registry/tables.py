@@ -31,6 +31,7 @@ class WorkspaceTables:
         wait_s: time limit for the lock of another process.
     """
 
+    #: Whether only this toolkit sets aliases, so that other changes are errors.
     seals_aliases = True
 
     def __init__(self, workspace: Path, wait_s: float) -> None:
@@ -38,12 +39,20 @@ class WorkspaceTables:
         self._database = workspace / "registry.db"
 
     def model(self, name: str) -> StoredModel:
+        """One model; without versions if there is none of this name."""
         return self._read(lambda connection: _model(connection, name), StoredModel(name))
 
     def models(self) -> tuple[StoredModel, ...]:
+        """Every model, by name; creates and migrates nothing."""
         return self._read(lambda connection: tuple(models_of(connection)), ())
 
     def change(self, name: str, build: ChangeBuilder) -> StoredModel:
+        """Apply the change that ``build`` returns, atomically; returns the changed model.
+
+        Raises:
+            StoreError: the registry is in use, unreachable, or invalid.
+            StorageError: the disk is full or read-only; nothing was changed.
+        """
         # Creating the tables may take seconds, so it is done before the lock is taken.
         with disk_errors(self._workspace):
             empty = None if self._database.exists() else empty_registry()

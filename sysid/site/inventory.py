@@ -20,7 +20,7 @@ from sysid.gap.statement import headline
 from sysid.names import dotted
 from sysid.parse import parse_json
 from sysid.registry import DamagedModel, ModelVersion
-from sysid.registry.lineage import sources
+from sysid.registry.version import sources
 from sysid.reports.archive import RESULT
 from sysid.reports.dataset_texts import ROLES, clock_text, length_text, role_text
 from sysid.reports.result_figures import point_errors

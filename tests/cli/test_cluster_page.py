@@ -17,7 +17,7 @@ import pytest
 from page_walk import prepare, walk
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-from sysid.execution import loopback
+from scaling import loopback
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/guide/cluster.md"
@@ -101,7 +101,7 @@ def test_make_cluster_runs_until_it_is_ended(name: str, interrupts: str, tmp_pat
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     code = f"import runpy, signal; signal.signal(signal.SIGINT, signal.{interrupts}); "
-    code += f"runpy.run_module({loopback.__name__!r}, run_name='__main__')"
+    code += f"runpy.run_path({loopback.__file__!r}, run_name='__main__')"
     command = [sys.executable, "-c", code, "1", str(port)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     log = tmp_path / "log"

@@ -9,7 +9,7 @@ import pytest
 from command_line import run
 from lift_logs import write_lift
 
-from sysid.cli.checks import show_flags
+from sysid.cli.dataset_tables import show_flags
 from sysid.cli.output import Printer
 
 

@@ -10,7 +10,7 @@ import pytest
 
 KEEP = """
 import os, sys
-from sysid.cli.output import closed_stdout_ignored, open_standard_streams
+from sysid_rl.cli.streams import closed_stdout_ignored, open_standard_streams
 open_standard_streams()
 line = os.open(os.devnull, os.O_RDWR)
 sys.stdout.write("text")
@@ -19,7 +19,8 @@ sys.exit(0 if line > 2 and not sys.stdin.read() else 1)
 """
 READ = """
 import sys
-from sysid.cli.output import Printer, closed_stdout_ignored
+from sysid.cli.output import Printer
+from sysid_rl.cli.streams import closed_stdout_ignored
 printer = Printer()
 for _ in range(3):
     with closed_stdout_ignored():
@@ -27,7 +28,7 @@ for _ in range(3):
 sys.exit(7)
 """
 OWN = """
-from sysid.cli.output import closed_stdout_ignored
+from sysid_rl.cli.streams import closed_stdout_ignored
 with closed_stdout_ignored(False):
     raise OSError(28, "No space left on device")
 """

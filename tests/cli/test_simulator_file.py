@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from command_line import run
 
-from sysid.cli.gap_mujoco import repaired_path
-from sysid.cli.own_simulator import load_simulator
+from sysid.cli.gap import load_simulator, repaired_path
 from sysid.errors import InputError, SettingsError
 
 GOOD = """

@@ -18,8 +18,7 @@ from command_line import run
 from sample_workspace import sample_workspace
 
 import sysid.site
-from sysid.cli.loopback import MAX_THREADS, PageServer, page_server
-from sysid.cli.ui import _pages
+from sysid.cli.ui import MAX_THREADS, PageServer, _pages, page_server
 from sysid.errors import StorageError
 from sysid.site import build_site
 

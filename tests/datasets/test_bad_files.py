@@ -14,7 +14,7 @@ from lerobot_files import write_lerobot
 
 from sysid.datasets import Dataset, Store, ingest
 from sysid.datasets.drafting import describe
-from sysid.datasets.drafting.question import Answers
+from sysid.datasets.drafting.fields import Answers
 from sysid.errors import InputError, SettingsError
 from sysid.execution import LocalExecutor
 from sysid.logs.inspection import inspect_file

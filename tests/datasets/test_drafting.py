@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from sysid.datasets.drafting import Description, describe, fields
-from sysid.datasets.drafting.question import Answers
+from sysid.datasets.drafting.fields import Answers
 from sysid.datasets.layouts import recording_names
 from sysid.datasets.recipe import load_recipe
 from sysid.errors import InputError, SettingsError, SysidError

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sysid.datasets import ingest
-from sysid.datasets.unstated_units import with_joint_units
+from sysid.datasets.plan import with_joint_units
 from sysid.errors import SettingsError
 from sysid.machine import Machine, machine_from_files
 

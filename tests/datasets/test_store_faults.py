@@ -21,9 +21,8 @@ from killed import PRELOAD, killed_at_every_step
 from stored import small_dataset
 
 from sysid.datasets import Store, vacuum
-from sysid.datasets.versions.files import LocalFiles
+from sysid.datasets.versions.files import LocalFiles, ObjectFiles
 from sysid.datasets.versions.manifest import PartRecord, to_text
-from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.errors import StorageError, StoreError
 
 BETWEEN = multiprocessing.get_context("forkserver")
@@ -73,8 +72,8 @@ def full_delta(*_: object, **__: object) -> None:
 
 
 DISKS: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
-    "no room at all": lambda m: m.setattr(LocalFiles, "create", lambda self, path: FullFile(self.root / path, 0)),
-    "room for some rows": lambda m: m.setattr(LocalFiles, "create", lambda self, path: FullFile(self.root / path, 900)),
+    "no room at all": lambda m: m.setattr(LocalFiles, "create", lambda self, path: FullFile(self.folder / path, 0)),
+    "room for some rows": lambda m: m.setattr(LocalFiles, "create", lambda self, path: FullFile(self.folder / path, 900)),
     "no room for the Delta log": lambda m: m.setattr("deltalake.convert_to_deltalake", full_delta),
     "no room when it is settled": lambda m: m.setattr("os.fsync", full),
     "no room for the manifest": lambda m: m.setattr(LocalFiles, "publish", full),

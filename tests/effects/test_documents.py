@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from effect_pages import documents
 from sysid.effects import CATALOGUE
-from sysid.testing.document import documents
 
 FOLDER = Path(__file__).parents[2] / "docs" / "effects"
 NUMBER = re.compile(r"-?\d+\.\d+")
@@ -27,14 +27,14 @@ def test_the_folder_holds_these_pages_and_no_others(made: dict[str, str]) -> Non
 
 def test_pages_are_up_to_date(made: dict[str, str]) -> None:
     stale = [n for n, text in made.items() if n.endswith(".md") and (FOLDER / n).read_text("utf-8") != text]
-    assert not stale, "run: python -m sysid.testing.document docs/effects"
+    assert not stale, "run: python pipelines/effect_pages.py docs/effects"
 
 
 @pytest.mark.parametrize("name", [effect.name for effect in CATALOGUE])
 def test_pictures_are_up_to_date(made: dict[str, str], name: str) -> None:
     """Up to what another processor rounds differently: a fifth of a pixel."""
     fresh, kept = made[f"{name}.svg"], (FOLDER / f"{name}.svg").read_text("utf-8")
-    assert NUMBER.sub("#", fresh) == NUMBER.sub("#", kept), "run: python -m sysid.testing.document docs/effects"
+    assert NUMBER.sub("#", fresh) == NUMBER.sub("#", kept), "run: python pipelines/effect_pages.py docs/effects"
     numbers = [np.array([float(x) for x in NUMBER.findall(text)]) for text in (fresh, kept)]
     assert np.allclose(*numbers, atol=0.21)
 

@@ -19,7 +19,7 @@ WORDS = """
 from sysid.effects import effect_named
 from sysid.effects.catalogue import confusions
 from sysid.reports.words import effect_sentence, effect_title
-from sysid.testing.document import page
+from effect_pages import page
 
 assert effect_title("command_offset") == "Valve null bias"
 assert effect_sentence("command_offset", "boom", {"offset": "0.05"}).startswith("A constant of 0.05 is added to every command")

@@ -17,7 +17,7 @@ from sysid.export.newton import FILE, NewtonTarget
 from sysid.export.replay import Replay, replay
 from sysid.export.target import Start
 from sysid.export.urdf import link_inertias
-from sysid.export.usd_stage import SCENE, actuator_path, joint_path, link_path, undeclared
+from sysid.export.usd_stage import SCENE, actuator_path, joint_path, link_path
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant, nominal_plant
@@ -33,6 +33,26 @@ NATIVE = (
     KnownEffect("inertia_error", "slide", {"ratio": 1.3}),
     KnownEffect("load_bias", "slide", {"force": 1.5}),
 )
+
+
+def undeclared(stage: Any) -> list[str]:
+    """Authored properties and applied schemas that no registered schema declares, of every prim."""
+    from pxr import Usd
+
+    registry, found = Usd.SchemaRegistry(), []
+    for prim in stage.Traverse():
+        known = set(prim.GetPrimDefinition().GetPropertyNames())
+        found += [str(p.GetPath()) for p in prim.GetAuthoredProperties() if p.GetName() not in known and not _is_transform(p)]
+        for name in prim.GetAppliedSchemas():
+            if registry.FindAppliedAPIPrimDefinition(name.partition(":")[0]) is None:
+                found.append(f"{prim.GetPath()}: {name}")
+        if prim.GetTypeName() and registry.FindConcretePrimDefinition(prim.GetTypeName()) is None:
+            found.append(f"{prim.GetPath()}: {prim.GetTypeName()}")
+    return found
+
+
+def _is_transform(prop: Any) -> bool:
+    return str(prop.GetName()).startswith("xformOp:")
 
 
 def opened(plant: Plant, folder: Path) -> Any:

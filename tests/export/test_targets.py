@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from test_drive_model import name_of, placed, probe_plant
 
+from export_matrix import with_matrix
 from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, effect_named
 from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import load_module
 from sysid.export.export import TARGETS, target_named
-from sysid.export.matrix import with_matrix
 from sysid.export.mjcf_arm import FRICTION_BY_LOOP
 from sysid.export.replay import ROUNDING, SHARE, Replay, replay
 from sysid.export.target import Target
@@ -109,7 +109,7 @@ def test_every_cell_has_a_reason() -> None:
 
 def test_the_page_is_current() -> None:
     page = (ROOT / "docs" / "guide" / "export.md").read_text("utf-8")
-    assert with_matrix(page) == page, "python -m sysid.export.matrix docs/guide/export.md"
+    assert with_matrix(page) == page, "python pipelines/export_matrix.py docs/guide/export.md"
 
 
 def test_what_no_part_computes_is_data_alone() -> None:

@@ -32,9 +32,9 @@ def named(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The search for names is replaced by the hidden effect; the datasets for which it was made."""
     references: list[str] = []
 
-    def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
+    def name_effects(location: str, reference: str, plant: str | None) -> FleetMachine:
         references.append(reference)
-        return FleetMachine(reference, "named", (DEADBAND,)).to_json()
+        return FleetMachine(reference, "named", (DEADBAND,))
 
     monkeypatch.setattr(watching, "name_effects", name_effects)
     return references
@@ -111,9 +111,9 @@ def test_effects_of_machines_like_it_are_watched_as_well(tmp_path: Path, monkeyp
     place = begun(tmp_path)
     ingest(tmp_path / "flights", place, recipe=tmp_path / "flights" / "recipe.toml", name="lift-2")
 
-    def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
+    def name_effects(location: str, reference: str, plant: str | None) -> FleetMachine:
         effects = (DEADBAND,) if reference == "lift-2@1" else ()
-        return FleetMachine(reference, "named", effects).to_json()
+        return FleetMachine(reference, "named", effects)
 
     monkeypatch.setattr(watching, "name_effects", name_effects)
     assert not watch(place, "lift-1").fleet.histories

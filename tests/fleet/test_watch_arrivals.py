@@ -8,7 +8,7 @@ import os
 import shutil
 import socket
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -278,7 +278,7 @@ def test_a_name_that_is_none_is_left_out(lift: Watched, name: str, tmp_path: Pat
     found = lift.look()
     assert found.added == ("good",)
     assert len(found.left_out) == 1
-    json.dumps([found.left_out, lift.seen.to_json()], ensure_ascii=False).encode()
+    json.dumps([found.left_out, asdict(lift.seen)], ensure_ascii=False).encode()
 
 
 def test_a_machine_or_a_recipe_in_a_recording_is_not_that_of_the_folder(lift: Watched) -> None:
@@ -360,9 +360,9 @@ def test_two_folders_and_a_recording_that_is_in_both(lift: Watched, tmp_path: Pa
 # The state of the watch
 
 
-def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
+def name_effects(location: str, reference: str, plant: str | None) -> FleetMachine:
     """The search for names is replaced by the hidden effect."""
-    return FleetMachine(reference, "named", (DEADBAND,)).to_json()
+    return FleetMachine(reference, "named", (DEADBAND,))
 
 
 @pytest.fixture

@@ -46,8 +46,8 @@ def content(workspace: Path) -> dict[str, Any]:
 def test_the_state_is_that_of_an_undisturbed_watch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, kills: int, longest: float
 ) -> None:
-    def name_effects(location: str, reference: str, plant: str | None) -> dict[str, Any]:
-        return FleetMachine(reference, "named", (DEADBAND,)).to_json()
+    def name_effects(location: str, reference: str, plant: str | None) -> FleetMachine:
+        return FleetMachine(reference, "named", (DEADBAND,))
 
     monkeypatch.setattr(watching, "name_effects", name_effects)
     rng = random.Random(count)

@@ -218,7 +218,7 @@ def test_negative_sizes_of_a_matrix_are_refused(tmp_path: Path) -> None:
     data = path.read_bytes()
     sizes = data.index(b"\5\0\0\0\x08\0\0\0\x01\0\0\0\x0c\0\0\0") + 8
     path.write_bytes(data[:sizes] + b"\xff" * 8 + data[sizes + 8 :])
-    with pytest.raises(InputError, match=r"plain\.mat: .*12 numbers for a size of -1 × -1"):
+    with pytest.raises(InputError, match=r"plain\.mat: .*a size of -1 × -1"):
         reader_for(path).read(path, ReadOptions())
 
 

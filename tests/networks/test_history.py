@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError, InputError, SettingsError, StoreError
 from sysid.networks import HistoryNetwork, fit_history, from_files, parse_recipe, to_files
-from sysid.networks.history import recording_windows, runs_of
+from sysid.networks.history import recording_windows
 from sysid.networks.history_correction import HistoryCorrection
 from sysid.networks.split import RowRange
 from sysid.plant import nominal_plant
@@ -141,7 +141,6 @@ def test_sequences_stay_inside_recordings_blocks_and_gaps(data: Dataset, network
         np.testing.assert_array_equal(windows.inputs[:, 0], cylinder[begin : begin + len(windows.residual) * stride : stride])
         assert windows.inputs[0, 1:].tolist() == [0.0] * (1 + len(memory.widths)), "nothing is known before"
     assert int(np.isnan(found[1].residual).sum()) == pytest.approx(200 / stride, abs=1), "passed through, not learned from"
-    assert runs_of(np.array([True, False, True, True])) == [(0, 1), (2, 4)]
 
 
 def test_the_seed_decides_and_held_out_rows_do_not(data: Dataset) -> None:

@@ -18,9 +18,6 @@ import pytest
 
 from sysid.errors import StorageError, StoreError
 from sysid.registry import Check, PromotionDecision, Registry, decide
-from sysid.registry.seal import sealed
-from sysid.registry.stored import ModelChange
-from sysid.registry.tables import WorkspaceTables
 
 FILES = {"plant.json": b"{}"}
 PASSED, FAILED = (
@@ -86,15 +83,6 @@ def test_a_decision_about_what_is_no_more_is_not_carried_out(workspace: Path) ->
     assert not found.promoted
     assert "means arm@1; expected no version" in found.reason
     assert registry.find("arm@2").decisions == (), "what was not done is not recorded as done"
-
-
-def test_a_registry_of_before_keeps_its_promoted_version(workspace: Path) -> None:
-    tables = WorkspaceTables(workspace, 30.0)
-    tables.change("arm", lambda model: sealed(model, ModelChange(aliases={"promoted": 1}), aliases=True))
-    registry = Registry(workspace)
-    assert registry.find("arm").version == registry.find("arm@champion").version == 1
-    decide(registry, "arm@2", registry.promoted("arm"), [PASSED])
-    assert registry.find("arm").version == 2
 
 
 @pytest.mark.parametrize("text", ["[]", "{", '{"promoted": true}', '{"checks": [1]}', '{"checks": [], "colour": 1}'])

@@ -17,7 +17,7 @@ import pytest
 from stored import small_dataset
 
 from sysid.cli import main
-from sysid.cli.loopback import page_server
+from sysid.cli.ui import page_server
 from sysid.datasets import Store, lineage
 from sysid.datasets.versions.manifest import PartRecord, to_text
 from sysid.errors import StoreError

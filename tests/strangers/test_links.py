@@ -16,7 +16,7 @@ from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
 from sysid.registry import Registry
 from sysid.registry.artifacts import FolderArtifacts
-from sysid.registry.record import Record
+from sysid.registry.stored import Record
 from sysid.reports.archive import load_gap, save_gap
 from sysid.root import Root
 from sysid.workspace import Workspace

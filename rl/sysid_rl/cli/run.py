@@ -12,7 +12,8 @@ import click
 
 from sysid.cli import output
 from sysid.cli.interruption import leave_interrupts
-from sysid.cli.output import Printer, closed_stdout_ignored, json_option, open_standard_streams, write_json
+from sysid.cli.output import Printer, json_option, write_json
+from sysid_rl.cli.streams import closed_stdout_ignored, open_standard_streams
 
 if TYPE_CHECKING:
     from sysid.errors import StorageError

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from sysid.cli.executor_options import cluster_option
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.output import Printer, cluster_option, json_option, progress_bar, write_json
 from sysid.errors import SettingsError
 
 

@@ -71,7 +71,7 @@ def write_results(folder: Path, machine: Machine, runs: Sequence[TrackingResult]
         with written_whole(folder / name) as half:
             half.write_text(text, "utf-8")
     if rerun:
-        from sysid.view import write_tracks
+        from sysid_rl.train.rerun_tracks import write_tracks
 
         files["rerun"] = write_tracks(folder / "track.rrd", machine, runs[0].target, tables, f"{folder.name}")
     return files

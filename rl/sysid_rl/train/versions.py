@@ -33,7 +33,7 @@ def load_versions(registry: Registry, plant: str, forward: str) -> tuple[Plant, 
 
 def _check_lineage(registry: Registry, plant: ModelVersion, forward: ModelVersion) -> None:
     """Refuse a forward model that was trained on a dataset of another machine than the plant and its sources."""
-    from sysid.registry.lineage import ancestors
+    from sysid.registry.version import ancestors
 
     trained_on = str(forward.lineage.get("dataset", "")).partition("@")[0]
     sources = [plant, *ancestors(registry.list(), plant)]

@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from sysid.datasets.checks.measures import LEAST_STRENGTH
 from sysid.datasets.drafting.axis_values import Characteristic, characteristic, moved_mass
-from sysid.datasets.drafting.fields import MAX_SECONDS, Field
-from sysid.datasets.drafting.question import Answers, Question
+from sysid.datasets.drafting.fields import MAX_SECONDS, Answers, Field, Question
 from sysid.datasets.quality.responses import MAX_DELAY_S, correlation, speed
 from sysid.datasets.words import ANGLES, STRAIGHT, words_of
 from sysid.errors import SettingsError, nearest

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from sysid.datasets.draft import Chosen, draft_recipe
 from sysid.datasets.drafting.axes import AxisDraft, axes_of, unit_factor
-from sysid.datasets.drafting.fields import Field, read_fields
-from sysid.datasets.drafting.question import Answers, Question
+from sysid.datasets.drafting.fields import Answers, Field, Question, read_fields
 from sysid.datasets.layouts import recording_names, refusal_of, unreadable
 from sysid.errors import InputError
 from sysid.logs.inspection import FileSummary

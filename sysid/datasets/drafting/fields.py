@@ -1,11 +1,13 @@
-"""The columns of all logs as series, and what their names say: axis and quantity."""
+"""The columns of all logs as series, and what their names say: axis and quantity; and what only the user
+knows.
+"""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ import numpy.typing as npt
 from sysid.datasets.layouts import TABLES
 from sysid.datasets.quality.noise import is_still
 from sysid.datasets.words import NO_SIGNAL, UNITS, WORDS, said, words_of
+from sysid.errors import SettingsError, nearest
 from sysid.logs.inspection import FileSummary
 from sysid.logs.labels import without_repeats
 from sysid.logs.reader import ReadOptions, Stream, read_confined
@@ -122,3 +125,59 @@ def _unit_in(name: str) -> str | None:
 def _seconds(stream: Stream) -> Array:
     stamps = next(iter(stream.stamps.values()))
     return np.asarray(stamps * 1e-9, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Question:
+    """What only the user knows.
+
+    Args:
+        key: what ``--set KEY=VALUE`` answers.
+        proposal: taken with ``--yes``.
+        why: what the data show, as a sentence.
+        choices: possible values; empty: any.
+    """
+
+    key: str
+    proposal: str
+    why: str
+    choices: tuple[str, ...] = ()
+
+
+@dataclass
+class Answers:
+    """Answers by key, and the questions that were asked so far.
+
+    Args:
+        prompted: keys that were asked at a prompt: another answer there may have settled them.
+    """
+
+    given: Mapping[str, str]
+    prompted: frozenset[str] = frozenset()
+    asked: list[Question] = field(default_factory=list)
+    used: set[str] = field(default_factory=set)
+
+    def of(self, question: Question, sure: bool = False) -> str:
+        """The answer, or the proposal where there is none yet.
+
+        Args:
+            sure: the data decide: nothing is asked, but an answer counts.
+
+        Raises:
+            SettingsError: an answer that is not one of the choices.
+        """
+        value = self.given.get(question.key)
+        self.used.add(question.key)
+        if value is None:
+            if not sure and all(question.key != other.key for other in self.asked):
+                self.asked.append(question)
+            return question.proposal
+        if question.choices and value not in question.choices:
+            raise SettingsError(f"--set {question.key}={value}", "no choice", nearest(value, question.choices))
+        return value
+
+    def check_used(self) -> None:
+        """Raise SettingsError where an answer has no question."""
+        for key in self.given:
+            if key not in self.used | self.prompted:
+                raise SettingsError(f"--set {key}", "no such question", nearest(key, self.used) if self.used else "none")

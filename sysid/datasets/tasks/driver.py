@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
-
-import numpy as np
 
 from sysid.datasets.channels import Mounts, combined_mounts
 from sysid.datasets.clocks.records import KnownSkew, skews_of
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
-from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of
+from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of, with_joint_units
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes
 from sysid.datasets.tasks.steps import (
+    AlignResult,
     Plain,
+    ReadResult,
     align_recording,
-    clock_records,
-    from_mounts,
     read_recording,
     store_recording,
     stored_table,
     survey_recording,
-    to_error,
-    to_pieces,
-    to_reading,
-    to_refused,
 )
-from sysid.datasets.unstated_units import with_joint_units
 from sysid.datasets.versions.files import UNCHANGED, explained
 from sysid.datasets.versions.manifest import Manifest, new_part
 from sysid.datasets.versions.store import Store
@@ -73,11 +66,11 @@ class TaskIngest:
         calls = [(self.location, plan, absolute(files)) for files in with_bodies]
         surveyed = self.executor.run(survey_recording, calls, part(report, *_SURVEYED))
         own = {
-            (files.name, key): {body: [np.array(pose) for pose in poses] for body, poses in bodies.items()}
-            for files, entry in zip(with_bodies, surveyed, strict=True)
-            for key, bodies in entry["poses"].items()
+            (files.name, key): bodies
+            for files, (poses, _) in zip(with_bodies, surveyed, strict=True)
+            for key, bodies in poses.items()
         }
-        refused = {key: error for entry in surveyed for key, error in to_refused(entry["refused"]).items()}
+        refused = {key: error for _, entry in surveyed for key, error in entry.items()}
         check_refused(refused, count_files(found), plan.recipe_place)
         return combined_mounts(found, own)
 
@@ -100,29 +93,29 @@ class TaskIngest:
         """
         place = self.location, folder
         calls: list[tuple[Any, ...]] = [
-            (*place, k, plan, absolute(files), from_mounts(mounts, files.name)) for k, files in enumerate(found)
+            (*place, k, plan, absolute(files), {key: own for key, own in mounts.items() if key[0] == files.name})
+            for k, files in enumerate(found)
         ]
-        read: list[Plain] = self.executor.run(read_recording, calls, part(report, *_READ))
-        unusable = {key: error for own in read for key, error in to_refused(own["reading"]["refused"]).items()}
+        read: list[ReadResult] = self.executor.run(read_recording, calls, part(report, *_READ))
+        unusable = {key: error for own in read for key, error in own.reading.refused.items()}
         check_refused(unusable, count_files(found), plan.recipe_place)
-        pieces = {files.name: to_pieces(own["pieces"]) for files, own in zip(found, read, strict=True)}
-        shared = {domain: asdict(own) if own is not None else None for domain, own in skews_of(pieces, skews).items()}
+        shared = skews_of({files.name: own.pieces for files, own in zip(found, read, strict=True)}, skews)
         calls = [
             (*place, k, plan, files.name, files.kind, own, shared)
             for k, (files, own) in enumerate(zip(found, read, strict=True))
         ]
-        aligned: list[Plain] = self.executor.run(align_recording, calls, part(report, *_ALIGNED))
-        refused = {files.name: to_error(own["refused"]) for files, own in zip(found, aligned, strict=True) if "refused" in own}
+        aligned: list[AlignResult] = self.executor.run(align_recording, calls, part(report, *_ALIGNED))
+        refused = {files.name: own.refused for files, own in zip(found, aligned, strict=True) if own.refused is not None}
         names = placed([files.name for files in found], refused, splits)
         kept = [k for k, files in enumerate(found) if files.name in names]
-        tables = [stored_table(self.store.files, folder, k, plan, found[k].name, found[k].kind, aligned[k]) for k in kept]
+        tables = [
+            stored_table(self.store.files, folder, k, plan, found[k].name, found[k].kind, aligned[k].start_ns) for k in kept
+        ]
         parts, roles = divide(tables)
-        units, assumed = with_joint_units(
-            units_of({found[k].name: to_reading(read[k]["reading"]).channels for k in kept}), plan.machine
-        )
-        clocks = tuple(record for k in kept for record in clock_records(aligned[k]))
+        units, assumed = with_joint_units(units_of({found[k].name: read[k].reading.channels for k in kept}), plan.machine)
+        clocks = tuple(record for k in kept for record in aligned[k].clocks)
         notes = (
-            *notes_of(found, plan, mounts, [note for own in read for note in own["rates"]], refused),
+            *notes_of(found, plan, mounts, [note for own in read for note in own.rates], refused),
             *copy_notes(tables),
             *assumed,
         )
@@ -135,10 +128,10 @@ class TaskIngest:
             units=units,
             splits=roles,
             clocks=clocks,
-            streams=streams_of([(stream, signal) for k in kept for stream, signal in aligned[k]["streams"]], parts),
+            streams=streams_of([(stream, signal) for k in kept for stream, signal in aligned[k].streams], parts),
         )
         columns = sample_columns(addition)
-        scales = {axis: (own.full, own.top_speed) for axis, own in scales_of(parts, plan.machine).items()}
+        scales = scales_of(parts, plan.machine)
         blocks = _blocks(parts, tables)
         calls = [
             (*place, k, plan, found[k].name, found[k].kind, read[k], aligned[k], blocks[found[k].name], scales, columns)
@@ -147,23 +140,23 @@ class TaskIngest:
         stored: list[Plain] = self.executor.run(store_recording, calls, part(report, *_STORED))
         quality = {
             **_joined([own["quality"] for own in stored]),
-            "flags": [flag for k in kept for flag in aligned[k]["flags"]],
+            "flags": [flag for k in kept for flag in aligned[k].flags],
             "notes": list(notes),
         }
         entry = self._committed(folder, [read[k] for k in kept], stored, kept)
-        losses = {f"{found[k].name}/{file}": tuple(own) for k in kept for file, own in read[k]["reading"]["losses"].items()}
+        losses = {f"{found[k].name}/{file}": tuple(own) for k in kept for file, own in read[k].reading.losses.items()}
         return WrittenPart(replace(addition, quality=quality), losses, new_part(folder, *entry, made_by(found, plan, mounts)))
 
     def _committed(
-        self, folder: str, read: Sequence[Plain], stored: Sequence[Plain], kept: Sequence[int]
+        self, folder: str, read: Sequence[ReadResult], stored: Sequence[Plain], kept: Sequence[int]
     ) -> tuple[Plain, Plain]:
         """The Delta tables of the files that the tasks wrote, numbered without gaps: samples and raw channels."""
         with explained(self.store.workspace, UNCHANGED):
             self.store.files.remove(f"{folder}/tables")
             entries: dict[str, list[dict[str, Any]]] = {}
-            for which, results in (("samples", stored), ("channels", read)):
+            files = {"samples": [own["file"] for own in stored], "channels": [own.file for own in read]}
+            for which, own in files.items():
                 place = f"{folder}/{which}"
-                own = [result["file"] for result in results]
                 there = {entry["path"] for entry in own}
                 for name in self.store.files.names(place):
                     if name not in there:  # of a recording without a place in time, or of a task that was killed
@@ -174,7 +167,7 @@ class TaskIngest:
                     entries.setdefault(which, []).append({**entry, "path": file_name(number)})
             samples = committed(self.store.files, f"{folder}/samples", entries["samples"])
             channels = committed(self.store.files, f"{folder}/channels", entries["channels"])
-        return samples, {**channels, "clocks": [clock for own in read for clock in own["clocks"]]}
+        return samples, {**channels, "clocks": [clock for one in read for clock in one.clocks]}
 
 
 @dataclass(frozen=True)

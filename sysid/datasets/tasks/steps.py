@@ -1,5 +1,4 @@
-"""The tasks of an ingest, in their order: each does one step for one recording, on plain values (numbers, text, lists,
-dictionaries).
+"""The tasks of an ingest, in their order: each does one step for one recording, on values that travel between processes.
 
 In the folder of a part, recording ``k`` has the files ``channels/part-k``, ``samples/part-k`` and, until its roles are known,
 ``tables/k.arrow``: its uncut table (the recording on
@@ -10,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +17,16 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.channel import Channel, RowCounts
-from sysid.datasets.channels import Mounts, ReadRecording, concatenate, joined, read_channels, reference_poses
-from sysid.datasets.checks.flag import Flag
+from sysid.datasets.channel import Channel
+from sysid.datasets.channels import Mounts, ReadRecording, ReferencePoses, concatenate, joined, read_channels, reference_poses
 from sysid.datasets.checks.run import flag_rows
 from sysid.datasets.checks.streams import likely_unit
 from sysid.datasets.chunked import median_step
-from sysid.datasets.clocks.estimate import Backlash, Estimate, Skew
+from sysid.datasets.clocks.estimate import Skew
 from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times, pieces_of, records_of
 from sysid.datasets.clocks.resets import Piece
 from sysid.datasets.discover import RecordingFiles
-from sysid.datasets.frames.bodies import MissingFrames
-from sysid.datasets.plan import Plan
+from sysid.datasets.plan import Plan, rate_notes
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality.describe import describe
 from sysid.datasets.quality.use import Scale
@@ -37,11 +34,10 @@ from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Kind, Recording
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import rows_of
-from sysid.datasets.unstated_units import rate_notes
 from sysid.datasets.versions.files import UNCHANGED, Files, explained, scratch_folder
 from sysid.datasets.versions.store import Store
 from sysid.datasets.versions.tables import Columns, clock_entries, read_channel_file, write_channel_file, write_sample_file
-from sysid.errors import AlignmentError, InputError, SysidError
+from sysid.errors import AlignmentError, InputError
 from sysid.files import plain
 from sysid.machine import Machine
 from sysid.progress import Progress, silent
@@ -120,134 +116,79 @@ def _slack(record: ClockRecord) -> float:
 
 Plain = dict[str, Any]
 
-_ARRAYS = ("stamps", "values")
+
+@dataclass(frozen=True)
+class ReadResult:
+    """What :func:`read_recording` returns.
+
+    Args:
+        reading: without the samples of its channels, whose numbers are ``samples``; nothing else is there with refused files.
+        pieces: clock → its pieces, without the residuals of their fits in blocks.
+        file, clocks: for the manifest.
+        rates: notes.
+    """
+
+    reading: ReadRecording
+    samples: tuple[int, ...] = ()
+    pieces: Mapping[str, tuple[Piece, ...]] = field(default_factory=dict)
+    file: Plain = field(default_factory=dict)
+    clocks: tuple[Plain, ...] = ()
+    rates: tuple[str, ...] = ()
 
 
-def from_channel(channel: Channel) -> Plain:
-    """A channel without its samples, whose number is ``samples``."""
-    own = {field.name: getattr(channel, field.name) for field in fields(channel) if field.name not in _ARRAYS}
-    flags = [asdict(flag) for flag in channel.flags]
-    return {**own, "counts": asdict(channel.counts), "flags": flags, "samples": len(channel.stamps)}
+@dataclass(frozen=True)
+class AlignResult:
+    """What :func:`align_recording` returns: clock records, flags, ``streams`` (file stem and signal) and the first stamp of the
+    table [ns]; or ``refused``: why a recording cannot be placed in time.
+    """
+
+    clocks: tuple[ClockRecord, ...] = ()
+    flags: tuple[Plain, ...] = ()
+    streams: tuple[tuple[str, str], ...] = ()
+    start_ns: int = 0
+    refused: AlignmentError | None = None
 
 
-def to_channel(entry: Plain, stamps: Any = None, values: Any = None) -> Channel:
-    """The channel with these samples, by default without any."""
-    own = {key: value for key, value in entry.items() if key != "samples"}
-    own["counts"] = RowCounts(**entry["counts"])
-    own["flags"] = tuple(Flag(**flag) for flag in entry["flags"])
-    nothing = stamps is None
-    return Channel(**own, stamps=np.empty(0, np.int64) if nothing else stamps, values=np.empty(0) if nothing else values)
+def without_samples(reading: ReadRecording) -> ReadRecording:
+    """A recording whose channels have no samples."""
+    nothing: dict[str, Any] = {"stamps": np.empty(0, np.int64), "values": np.empty(0)}
+    return replace(reading, channels=tuple(replace(channel, **nothing) for channel in reading.channels))
 
 
-def from_reading(reading: ReadRecording) -> Plain:
-    """A recording that was read, without the samples of its channels."""
-    return {
-        "channels": [from_channel(channel) for channel in reading.channels],
-        "losses": {file: list(texts) for file, texts in reading.losses.items()},
-        "missing_frames": [asdict(flag) for flag in reading.flags],
-        "refused": from_refused(reading.refused),
-    }
-
-
-def to_reading(entry: Plain, samples: Sequence[tuple[Any, Any]] | None = None) -> ReadRecording:
-    """The recording with ``samples`` (stamps, values) of its channels, by default without any."""
-    arrays = samples if samples is not None else [(None, None)] * len(entry["channels"])
-    channels = tuple(to_channel(own, *pair) for own, pair in zip(entry["channels"], arrays, strict=True))
-    losses = {file: tuple(texts) for file, texts in entry["losses"].items()}
-    flags = tuple(MissingFrames(**flag) for flag in entry["missing_frames"])
-    return ReadRecording(channels, losses, flags, to_refused(entry["refused"]))
-
-
-def from_pieces(found: Mapping[str, Sequence[Piece]]) -> Plain:
-    """Clock → pieces, without the residuals of their fits in blocks."""
-    return {clock: [_from_piece(piece) for piece in pieces] for clock, pieces in found.items()}
-
-
-def _from_piece(piece: Piece) -> Plain:
-    estimate = asdict(replace(piece.estimate, blocks=None))
-    matrices = {name: estimate[name].tolist() for name in ("covariance", "normal")}
-    return {"first_s": piece.first_s, "last_s": piece.last_s, "estimate": {**estimate, **matrices}}
-
-
-def to_pieces(entry: Plain) -> dict[str, tuple[Piece, ...]]:
-    return {clock: tuple(_to_piece(own) for own in pieces) for clock, pieces in entry.items()}
-
-
-def _to_piece(entry: Plain) -> Piece:
-    estimate = {
-        **entry["estimate"],
-        **{name: np.array(entry["estimate"][name]) for name in ("covariance", "normal")},
-        "backlash": tuple(Backlash(**own) for own in entry["estimate"]["backlash"]),
-    }
-    return Piece(entry["first_s"], entry["last_s"], Estimate(**estimate))
-
-
-def from_mounts(mounts: Mounts, recording: str) -> Plain:
-    """Mounts of the bodies in one recording: key of the recipe's entry → body → 4×4."""
-    return {
-        key: {body: pose.tolist() for body, pose in bodies.items()}
-        for (name, key), bodies in mounts.items()
-        if name == recording
-    }
-
-
-def to_mounts(entry: Plain, recording: str) -> Mounts:
-    return {(recording, key): {body: np.array(pose) for body, pose in bodies.items()} for key, bodies in entry.items()}
-
-
-def from_refused(refused: Mapping[str, InputError]) -> Plain:
-    """``recording/file`` → the parts of the error for which it cannot be used."""
-    return {key: from_error(error) for key, error in refused.items()}
-
-
-def to_refused(entry: Plain) -> dict[str, InputError]:
-    return {key: InputError(*own) for key, own in entry.items()}
-
-
-def from_error(error: SysidError) -> list[str]:
-    return [str(part) for part in (error.where, error.found, error.expected, error.remedy)]
-
-
-def to_error(entry: Sequence[str]) -> AlignmentError:
-    return AlignmentError(*entry)
-
-
-def survey_recording(location: str, plan: Plan, files: RecordingFiles) -> Plain:
-    """Task: ``poses`` of rigid bodies in the reference poses of a recording, none where it has none; ``refused`` files."""
+def survey_recording(location: str, plan: Plan, files: RecordingFiles) -> tuple[ReferencePoses, Mapping[str, InputError]]:
+    """Task: poses of rigid bodies in the reference poses of a recording, none where it has none; refused files."""
     with _prepared(location):
-        found, refused = reference_poses(files, plan.machine)
-        poses = {key: {body: [pose.tolist() for pose in poses] for body, poses in own.items()} for key, own in found.items()}
-        return {"poses": poses, "refused": from_refused(refused)}
+        return reference_poses(files, plan.machine)
 
 
-def read_recording(location: str, folder: str, number: int, plan: Plan, files: RecordingFiles, mounts: Plain) -> Plain:
+def read_recording(location: str, folder: str, number: int, plan: Plan, files: RecordingFiles, mounts: Mounts) -> ReadResult:
     """Task: raw files → ``channels/part-<number>``.
 
     Args:
         mounts: of the rigid bodies in this recording.
 
-    Returns:
-        ``reading`` and ``pieces`` as plain values, ``file`` and ``clocks`` for the manifest, ``rates``
-        (notes); ``reading`` alone where a file cannot be used.
-
     Raises:
         SysidError: a log that cannot be used.
     """
     with _prepared(location) as store:
-        reading = read_channels(files, plan.machine, to_mounts(mounts, files.name))
+        reading = read_channels(files, plan.machine, mounts)
         files.check_unchanged()
         if reading.refused:
-            return {"reading": from_reading(reading)}
+            return ReadResult(without_samples(reading))
         found = pieces_of(RecordingClocks(files.name, files.kind, reading.channels))
         with explained(location, UNCHANGED):
             file = write_channel_file(store, f"{folder}/channels", number, files.name, reading.channels)
-        return {
-            "reading": from_reading(reading),
-            "pieces": from_pieces(found),
-            "file": file,
-            "clocks": clock_entries(files.name, reading.channels),
-            "rates": list(rate_notes([files], {files.name: reading}, plan.machine.rate_hz)),
-        }
+        return ReadResult(
+            without_samples(reading),
+            tuple(len(channel.stamps) for channel in reading.channels),
+            {
+                clock: tuple(replace(one, estimate=replace(one.estimate, blocks=None)) for one in own)
+                for clock, own in found.items()
+            },
+            file,
+            tuple(clock_entries(files.name, reading.channels)),
+            tuple(rate_notes([files], {files.name: reading}, plan.machine.rate_hz)),
+        )
 
 
 def align_recording(
@@ -257,38 +198,28 @@ def align_recording(
     plan: Plan,
     name: str,
     kind: Kind,
-    read: Plain,
-    skews: Mapping[str, dict[str, Any] | None],
-) -> Plain:
+    read: ReadResult,
+    skews: Mapping[str, Skew | None],
+) -> AlignResult:
     """Task: ``channels/part-<number>`` → ``tables/<number>.arrow`` on the machine's clock.
 
     Args:
         read: result of :func:`read_recording`.
-        skews: clock domain → fields of its :class:`~sysid.datasets.clocks.estimate.Skew`; None: each recording has its own.
-
-    Returns:
-        ``clocks`` (fields of the clock records), ``flags``, ``streams`` (file stem and signal), ``start_ns``; or ``refused``:
-        the parts of the error of a recording that cannot be placed in time.
+        skews: clock domain → its skew; None: each recording has its own.
     """
     rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     with _prepared(location) as store:
         reading = _stored(store, folder, number, read)
         recording = RecordingClocks(name, kind, reading.channels)
-        shared = {domain: Skew(**own) if own is not None else None for domain, own in skews.items()}
         try:
-            records = records_of(recording, to_pieces(read["pieces"]), shared)
+            records = records_of(recording, read.pieces, skews)
         except AlignmentError as error:
-            return {"refused": from_error(error)}
+            return AlignResult(refused=error)
         table = aligned_recording(recording, by_source(records, name), plan.machine, rules, silent)
         flags = flag_rows(recording, records, plan.machine, rules.hold_s)
         with explained(location, UNCHANGED):
             _write_table(store, _table_path(folder, number), table.table)
-        return {
-            "clocks": [asdict(record) for record in records],
-            "flags": flags,
-            "streams": stream_signals(recording),
-            "start_ns": table.start_ns,
-        }
+        return AlignResult(tuple(records), tuple(flags), tuple(stream_signals(recording)), table.start_ns)
 
 
 def store_recording(
@@ -298,10 +229,10 @@ def store_recording(
     plan: Plan,
     name: str,
     kind: Kind,
-    read: Plain,
-    aligned: Plain,
+    read: ReadResult,
+    aligned: AlignResult,
     blocks: Sequence[tuple[str, int, int]],
-    scales: Mapping[str, tuple[float, float]],
+    scales: Mapping[str, Scale],
     columns: Columns,
 ) -> Plain:
     """Task: ``tables/<number>.arrow`` → ``samples/part-<number>``, and the quality of the recording.
@@ -317,17 +248,15 @@ def store_recording(
     """
     with _prepared(location) as store:
         reading = _stored(store, folder, number, read)
-        whole = stored_table(store, folder, number, plan, name, kind, aligned)
+        whole = stored_table(store, folder, number, plan, name, kind, aligned.start_ns)
         parts = [rows_of(whole, *block) for block in blocks] or [whole]
-        records = clock_records(aligned)
-        known = {axis: Scale(*own) for axis, own in scales.items()}
-        quality = describe(parts, {name: reading}, records, plan.machine, scales=known)
+        quality = describe(parts, {name: reading}, aligned.clocks, plan.machine, scales=scales)
         with explained(location, UNCHANGED):
             file = write_sample_file(store, f"{folder}/samples", number, parts, columns)
         return {"quality": plain(quality), "file": file}
 
 
-def stored_table(files: Files, folder: str, number: int, plan: Plan, name: str, kind: Kind, aligned: Plain) -> Recording:
+def stored_table(files: Files, folder: str, number: int, plan: Plan, name: str, kind: Kind, start_ns: int) -> Recording:
     """The uncut recording that :func:`align_recording` stored; its table is mapped from a local file."""
     import pyarrow as pa
 
@@ -336,12 +265,7 @@ def stored_table(files: Files, folder: str, number: int, plan: Plan, name: str, 
     source = pa.BufferReader(files.read(path)) if "://" in uri else pa.memory_map(uri)
     table = pa.ipc.open_file(source).read_all()
     columns = {field.name: table[field.name].chunk(0).to_numpy() for field in table.schema}
-    return Recording(name, pd.DataFrame(columns, copy=False), plan.machine.rate_hz, kind, aligned["start_ns"])
-
-
-def clock_records(aligned: Plain) -> tuple[ClockRecord, ...]:
-    """The clock records in a result of :func:`align_recording`."""
-    return tuple(ClockRecord(**own) for own in aligned["clocks"])
+    return Recording(name, pd.DataFrame(columns, copy=False), plan.machine.rate_hz, kind, start_ns)
 
 
 def _write_table(files: Files, path: str, table: pd.DataFrame) -> None:
@@ -358,10 +282,11 @@ def _table_path(folder: str, number: int) -> str:
     return f"{folder}/tables/{number:05d}.arrow"
 
 
-def _stored(files: Files, folder: str, number: int, read: Plain) -> ReadRecording:
+def _stored(files: Files, folder: str, number: int, read: ReadResult) -> ReadRecording:
     """The channels that :func:`read_recording` stored."""
-    lengths = [channel["samples"] for channel in read["reading"]["channels"]]
-    return to_reading(read["reading"], read_channel_file(files, f"{folder}/channels", number, lengths))
+    samples = read_channel_file(files, f"{folder}/channels", number, read.samples)
+    pairs = zip(read.reading.channels, samples, strict=True)
+    return replace(read.reading, channels=tuple(replace(own, stamps=stamps, values=values) for own, (stamps, values) in pairs))
 
 
 @contextmanager

@@ -17,9 +17,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sysid.datasets.versions.files import Files, LocalFiles
+from sysid.datasets.versions.files import Files, LocalFiles, ObjectFiles
 from sysid.datasets.versions.manifest import Manifest, from_text
-from sysid.datasets.versions.object_files import ObjectFiles
 from sysid.errors import SettingsError, StorageError, StoreError, nearest
 from sysid.files import make_folder, written_whole
 from sysid.foreign import shown

@@ -6,7 +6,6 @@ joint, and a body with several joints becomes several links. Joint values of bot
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from sysid.machine.kinematics import roll_pitch_yaw
 from sysid.machine.sources.mjcf_chain import Chain
 from sysid.machine.sources.mjcf_model import body_name, joint_name, joints_of, mujoco_library, path_to
 from sysid.machine.urdf_tree import Mimic
@@ -184,14 +184,8 @@ def _turn(vector: Array) -> Array:
 
 
 def _origin(pose: Array) -> dict[str, str]:
-    """Attributes of <origin>: fixed-axis roll, pitch, yaw, from sines and cosines, so that a pitch of 90° is no exception."""
-    r = pose[:3, :3]
-    pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
-    if math.hypot(r[0, 0], r[1, 0]) > 1e-9:
-        roll, yaw = math.atan2(r[2, 1], r[2, 2]), math.atan2(r[1, 0], r[0, 0])
-    else:
-        roll, yaw = math.atan2(-r[1, 2], r[1, 1]), 0.0
-    return {"xyz": _numbers(pose[:3, 3]), "rpy": _numbers([roll, pitch, yaw])}
+    """Attributes of <origin>."""
+    return {"xyz": _numbers(pose[:3, 3]), "rpy": _numbers(roll_pitch_yaw(pose[:3, :3]))}
 
 
 def _number(value: float) -> str:

@@ -17,7 +17,7 @@ import pytest
 from mjcf_logs import dataset_of_runs, machine_of
 from robots import robot
 
-from sysid.cli.gap_mujoco import write_model
+from sysid.cli.gap import write_model
 from sysid.cli.output import Printer
 from sysid.datasets.recording import Dataset
 from sysid.errors import InputError, SettingsError

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from servo_arms import STIFF, arm_text, commands, logged, recording_of
 
-from sysid.cli.own_simulator import open_simulator
+from sysid.cli.gap import open_simulator
 from sysid.datasets.recording import Dataset
 from sysid.effects import input_delay
 from sysid.errors import SettingsError

@@ -1,4 +1,4 @@
-"""Effects × targets in ``docs/guide/export.md``, from the code: ``python -m sysid.export.matrix docs/guide/export.md``."""
+"""Effects × targets in ``docs/guide/export.md``, from the code: ``python pipelines/export_matrix.py docs/guide/export.md``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sysid.effects import CATALOGUE
 from sysid.export.export import TARGETS
 from sysid.export.target import Target
 
-BEGIN = "<!-- Written by python -m sysid.export.matrix docs/guide/export.md: change the code instead. -->\n"
+BEGIN = "<!-- Written by python pipelines/export_matrix.py docs/guide/export.md: change the code instead. -->\n"
 END = "<!-- end -->\n"
 _MARKS = {"native": "native", "composed": "composed", "plugin": "plugin", "not_representable": "–"}
 

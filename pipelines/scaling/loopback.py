@@ -1,4 +1,4 @@
-"""A Dask cluster on the loopback interface: ``python -m sysid.execution.loopback [WORKERS] [PORT]``, until Ctrl-C.
+"""A Dask cluster on the loopback interface: ``python pipelines/scaling/loopback.py [WORKERS] [PORT]``, until Ctrl-C.
 
 For trying ``--cluster`` on one machine. Nothing listens on another interface.
 """

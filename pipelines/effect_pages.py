@@ -1,4 +1,4 @@
-"""``docs/effects`` from the code: one page and one picture an effect. ``python -m sysid.testing.document docs/effects``."""
+"""``docs/effects`` from the code: one page and one picture an effect. ``python pipelines/effect_pages.py docs/effects``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STAGES = {
     "tool": "end effector → hanging tool",
     "sensor": "true signal → measured signal",
 }
-_NOTICE = "<!-- Written by python -m sysid.testing.document docs/effects: change the code instead. -->\n"
+_NOTICE = "<!-- Written by python pipelines/effect_pages.py docs/effects: change the code instead. -->\n"
 
 
 def documents() -> dict[str, str]:
