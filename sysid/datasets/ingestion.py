@@ -15,6 +15,7 @@ from sysid.datasets.discover import RecordingFiles, check_recordings, check_refu
 from sysid.datasets.plan import (
     Plan,
     command_notes,
+    command_rates,
     content_of,
     made_by,
     notes_of,
@@ -212,7 +213,9 @@ def read_and_align(
         own = _share(report, _FLAGGED, number, len(recording_clocks))
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     rates = rate_notes(found, readings, plan.machine.rate_hz)
-    rates = rates or command_notes(readings, plan.machine.rate_hz)  # the rate of a wrong unit says nothing
+    rates = rates or command_notes(
+        map(command_rates, readings.values()), plan.machine.rate_hz
+    )  # of a wrong unit it says nothing
     notes = (*notes_of(found, plan, mounts, rates, alignment.refused), *copy_notes(recordings))
     readings = {recording.name: readings[recording.name] for recording in recording_clocks}
     return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))

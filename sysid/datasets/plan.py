@@ -359,18 +359,24 @@ def rate_notes(found: Sequence[RecordingFiles], readings: Mapping[str, ReadRecor
     return tuple(notes)
 
 
-def command_notes(readings: Mapping[str, ReadRecording], rate_hz: float) -> tuple[str, ...]:
+def command_rates(reading: ReadRecording) -> dict[str, float]:
+    """Log file → rate of its commands [Hz], of a recording."""
+    commands = (c for c in reading.channels if c.signal.endswith(".command"))
+    return {c.source: 1.0 / c.period_s for c in commands if c.period_s > 0.0}
+
+
+def command_notes(recordings: Iterable[Mapping[str, float]], rate_hz: float) -> tuple[str, ...]:
     """A note for each log file whose commands come faster than the grid has rows: those between two rows act later.
 
     Args:
-        readings: recording → what was read.
+        recordings: :func:`command_rates` of each.
         rate_hz: rate of the machine [Hz].
     """
     rates: dict[str, list[float]] = {}
-    for reading in readings.values():
-        for source, period in {c.source: c.period_s for c in reading.channels if c.signal.endswith(".command")}.items():
-            if period > 0.0 and 1.0 / period > FASTER * rate_hz:
-                rates.setdefault(source, []).append(1.0 / period)
+    for own in recordings:
+        for source, rate in own.items():
+            if rate > FASTER * rate_hz:
+                rates.setdefault(source, []).append(rate)
     return tuple(
         f"{source}: commands at {max(found):.4g} Hz{f' in {len(found)} recordings' if len(found) > 1 else ''}, the grid has "
         f"{rate_hz:g} Hz: a command between two rows acts up to {1e3 / rate_hz:.3g} ms later. "

@@ -19,6 +19,7 @@ from sysid.datasets import Store, append, ingest
 from sysid.datasets.layouts import layouts_of
 from sysid.datasets.recipe import load_recipe
 from sysid.errors import InputError, SettingsError
+from sysid.execution import LocalExecutor
 from sysid.logs.inspection import ClockSummary, FieldSummary, FileSummary, StreamSummary
 
 MACHINE = """schema = 1
@@ -224,6 +225,8 @@ def test_commands_between_the_rows_of_the_grid_are_noted(tmp_path: Path) -> None
         "log.csv: commands at 50 Hz in 2 recordings, the grid has 25 Hz: a command between two rows acts up to"
     )
     assert note.endswith("40 ms later. State rate_hz = 50 in machine.toml")
+    by_tasks = ingest(tmp_path / "logs", tmp_path / "tasks", executor=LocalExecutor())
+    assert list(by_tasks.quality["notes"]) == [note]
 
 
 def test_a_damaged_file_does_not_become_a_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

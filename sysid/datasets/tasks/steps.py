@@ -26,7 +26,7 @@ from sysid.datasets.clocks.estimate import Skew
 from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times, pieces_of, records_of
 from sysid.datasets.clocks.resets import Piece
 from sysid.datasets.discover import RecordingFiles
-from sysid.datasets.plan import Plan, rate_notes
+from sysid.datasets.plan import Plan, command_rates, rate_notes
 from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality.describe import describe
 from sysid.datasets.quality.use import Scale
@@ -125,7 +125,7 @@ class ReadResult:
         reading: without the samples of its channels, whose numbers are ``samples``; nothing else is there with refused files.
         pieces: clock → its pieces, without the residuals of their fits in blocks.
         file, clocks: for the manifest.
-        rates: notes.
+        rates: notes; ``commands``: log file → rate of its commands [Hz].
     """
 
     reading: ReadRecording
@@ -134,6 +134,7 @@ class ReadResult:
     file: Plain = field(default_factory=dict)
     clocks: tuple[Plain, ...] = ()
     rates: tuple[str, ...] = ()
+    commands: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -188,6 +189,7 @@ def read_recording(location: str, folder: str, number: int, plan: Plan, files: R
             file,
             tuple(clock_entries(files.name, reading.channels)),
             tuple(rate_notes([files], {files.name: reading}, plan.machine.rate_hz)),
+            command_rates(reading),
         )
 
 
