@@ -11,8 +11,20 @@ from typing import Any
 import numpy as np
 import page_walk
 import pytest
+from crane_model import crane_plant
+from crane_store import crane_registry
 from fleet_logs import one_lift
+from sample_crane import sample_dataset
+from stored import small_dataset
 from test_pages import PAGES as FOLLOWED
+from verbs import poses
+
+from sysid.datasets import Dataset, append, ingest
+from sysid.datasets.versions.manifest import PartRecord
+from sysid.networks import fit_forward, parse_recipe
+from sysid.networks.forward import ForwardModel
+from sysid.workspace import Workspace
+from sysid_rl.control import CylinderController
 
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^ *```(sh|python)([^\n]*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
@@ -33,7 +45,7 @@ LEFT_OUT = {
     "echo 'eval ": "changes the shell of its user",
     "sysid run collect.toml ": "moves a machine for 70 minutes; tests/runner runs this mode on the simulated test bench",
     "sysid run RUNNER.toml --commission": "moves a machine behind a bus; tests/runner commissions the simulated test bench",
-    "sysid train rl/autolog/quick.toml": "trains for minutes on the versions of `make demo`; the Python of its page trains here",
+    "sysid train rl/autolog/quick.toml": "trains for minutes on versions of `make demo`; the Python of its page trains here",
 }
 
 
@@ -55,8 +67,6 @@ def blocks_of(page: str, language: str) -> list[str]:
 
 def machines(folder: Path, names: dict[str, int]) -> None:
     """A dataset of each name in ``folder/workspace``, with so many recordings ``manual-01`` … of a lift."""
-    from sysid.datasets import ingest
-
     for name, count in names.items():
         logs = lift(folder / "sources" / name, count)
         ingest(logs, folder / "workspace", name=name)
@@ -76,8 +86,6 @@ def nothing(folder: Path) -> dict[str, Any]:
 
 def versions(folder: Path) -> dict[str, Any]:
     """Two versions of a dataset, and logs that they do not hold yet."""
-    from sysid.datasets import append
-
     machines(folder, {"autolog": 5})
     logs = lift(folder / "logs", 7)
     append([logs / "manual-06"], folder / "workspace", "autolog")
@@ -109,13 +117,6 @@ def own_crane(folder: Path) -> dict[str, Any]:
 
 def models(folder: Path) -> dict[str, Any]:
     """Three versions of a forward network, logs that are newer, and the page's policy of promotion."""
-    from stored import small_dataset
-    from verbs import poses
-
-    from sysid.datasets.versions.manifest import PartRecord
-    from sysid.networks import fit_forward, parse_recipe
-    from sysid.workspace import Workspace
-
     poses(folder / "workspace")
     place = Workspace(folder / "workspace")
     stored = place.dataset("crane")
@@ -123,40 +124,36 @@ def models(folder: Path) -> dict[str, Any]:
         place.datasets.save(replace(stored, name=name, version=0), small_dataset(1)[1], PartRecord(1))
     data = place.dataset("autolog")
     for hidden in (4, 5, 6):
-        settings = {"forward": {"hidden": [hidden], "training": {"epochs": 4, "batch": 16, "check_every": 2}}}
-        recipe = parse_recipe(settings, "tiny")
-        place.add_network(data, fit_forward(data, recipe), recipe)
+        tiny_forward(place, data, hidden)
     (folder / "policy.toml").write_text('schema = 1\n[forward.limits]\n"ee.*" = {max = "100 m"}\n')
     return {}
 
 
+def tiny_forward(place: Workspace, dataset: Dataset, hidden: int) -> ForwardModel:
+    """A stored forward network of a few weights."""
+    settings = {"forward": {"hidden": [hidden], "training": {"epochs": 4, "batch": 16, "check_every": 2}}}
+    recipe = parse_recipe(settings, "tiny")
+    model = fit_forward(dataset, recipe)
+    place.add_network(dataset, model, recipe)
+    return model
+
+
 def networks(folder: Path) -> dict[str, Any]:
-    from crane_model import crane_plant
-    from crane_store import learned
-    from sample_crane import sample_dataset
-
-    from sysid_rl.train.reach import joint_limits
-
-    rng = np.random.default_rng(0)
-    low, high = joint_limits(crane_plant())
-    X = rng.uniform(-1.0, 1.0, (60, 2))
+    poses(folder / "poses")
+    place = Workspace(folder / "poses")
+    inputs = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 2))
     return {
         "dataset": sample_dataset(20.0),
         "workspace": folder / "workspace",
-        "X": X,
-        "y": np.sin(X),
+        "X": inputs,
+        "y": np.sin(inputs),
         "groups": np.repeat(np.arange(6), 10),
-        "model": learned(crane_plant()),
-        "q": rng.uniform(low, high, (5, 4)),
+        "model": tiny_forward(place, place.dataset("crane"), 4),
+        "q": np.array([[0.0, 0.5, -1.0, 0.1]]),
     }
 
 
 def training(folder: Path) -> dict[str, Any]:
-    from crane_model import crane_plant
-    from crane_store import crane_registry
-
-    from sysid_rl.control import CylinderController
-
     crane_registry(folder / "workspace")
     path = folder / "small.toml"
     path.write_text(
