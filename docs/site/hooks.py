@@ -56,6 +56,8 @@ ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
 FORMULA = re.compile(r"^```formula\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
 #: The first line of a block of code with more than its language, at any depth.
 FENCE = re.compile(r"^( *```+\w+) .*$", re.MULTILINE)
+#: A block of code with text on the line after it, which is no paragraph in HTML without a line between them.
+JOINED = re.compile(r"^( *)(```+)\w.*?^\1\2$(?=\n *\S)", re.MULTILINE | re.DOTALL)
 #: A cell of a table: in its code too, a bar is written with a backslash.
 CELL = re.compile(r"<td.*?</td>", re.DOTALL)
 #: Blocks and spans of code, in which brackets are no links.
@@ -85,7 +87,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     What follows the language is for the tests that run the pages; the site takes such a block for text.
     """
     markdown = FORMULA.sub(lambda match: mathml(match[1]), markdown)
-    markdown = FENCE.sub(r"\1", markdown)
+    markdown = JOINED.sub(r"\g<0>\n", FENCE.sub(r"\1", markdown))
     if page.file.src_uri.startswith(UNSEARCHED):
         page.meta["search"] = {"exclude": True}
     source = next((path for path, name in pages().items() if name == page.file.src_uri), "")

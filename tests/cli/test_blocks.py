@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import crane_data
 import numpy as np
 import page_walk
 import pytest
@@ -19,10 +20,9 @@ from stored import small_dataset
 from test_pages import PAGES as FOLLOWED
 from verbs import poses
 
-from sysid.datasets import Dataset, append, ingest
+from sysid.datasets import append, ingest
 from sysid.datasets.versions.manifest import PartRecord
-from sysid.networks import fit_forward, parse_recipe
-from sysid.networks.forward import ForwardModel
+from sysid.networks import NetworkRecipe, fit_forward, parse_recipe
 from sysid.workspace import Workspace
 from sysid_rl.control import CylinderController
 
@@ -124,23 +124,18 @@ def models(folder: Path) -> dict[str, Any]:
         place.datasets.save(replace(stored, name=name, version=0), small_dataset(1)[1], PartRecord(1))
     data = place.dataset("autolog")
     for hidden in (4, 5, 6):
-        tiny_forward(place, data, hidden)
+        place.add_network(data, fit_forward(data, tiny_recipe(hidden)), tiny_recipe(hidden))
     (folder / "policy.toml").write_text('schema = 1\n[forward.limits]\n"ee.*" = {max = "100 m"}\n')
     return {}
 
 
-def tiny_forward(place: Workspace, dataset: Dataset, hidden: int) -> ForwardModel:
-    """A stored forward network of a few weights."""
-    settings = {"forward": {"hidden": [hidden], "training": {"epochs": 4, "batch": 16, "check_every": 2}}}
-    recipe = parse_recipe(settings, "tiny")
-    model = fit_forward(dataset, recipe)
-    place.add_network(dataset, model, recipe)
-    return model
+def tiny_recipe(hidden: int) -> NetworkRecipe:
+    """Of a forward network of a few weights."""
+    training = {"epochs": 4, "batch": 16, "check_every": 2}
+    return parse_recipe({"forward": {"hidden": [hidden], "training": training}}, "tiny")
 
 
 def networks(folder: Path) -> dict[str, Any]:
-    poses(folder / "poses")
-    place = Workspace(folder / "poses")
     inputs = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 2))
     return {
         "dataset": sample_dataset(20.0),
@@ -148,7 +143,7 @@ def networks(folder: Path) -> dict[str, Any]:
         "X": inputs,
         "y": np.sin(inputs),
         "groups": np.repeat(np.arange(6), 10),
-        "model": tiny_forward(place, place.dataset("crane"), 4),
+        "model": fit_forward(crane_data.dataset((crane_data.poses(count=300),), {}), tiny_recipe(4)),
         "q": np.array([[0.0, 0.5, -1.0, 0.1]]),
     }
 
