@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from check import faults
-from formula import mathml
+from formula import inline, mathml
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -54,6 +54,8 @@ SOURCE = re.compile(r'(srcset=")([^"]+)(")')
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
 #: A block of formulas.
 FORMULA = re.compile(r"^```formula\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
+#: A formula inside a sentence, as GitHub has it too.
+INLINE = re.compile(r"\$`([^`\n]+)`\$")
 #: The first line of a block of code with more than its language, at any depth.
 FENCE = re.compile(r"^( *```+\w+) .*$", re.MULTILINE)
 #: A block of code with text on the line after it, which is no paragraph in HTML without a line between them.
@@ -87,6 +89,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     What follows the language is for the tests that run the pages; the site takes such a block for text.
     """
     markdown = FORMULA.sub(lambda match: mathml(match[1]), markdown)
+    markdown = INLINE.sub(lambda match: inline(match[1]), markdown)
     markdown = JOINED.sub(r"\g<0>\n", FENCE.sub(r"\1", markdown))
     if page.file.src_uri.startswith(UNSEARCHED):
         page.meta["search"] = {"exclude": True}

@@ -22,7 +22,7 @@ from playwright.sync_api import Error as BrowserError
 
 ROOT = Path(__file__).parents[2]
 faults = runpy.run_path(str(ROOT / "docs" / "site" / "check.py"))["faults"]
-mathml = runpy.run_path(str(ROOT / "docs" / "site" / "formula.py"))["mathml"]
+formula = runpy.run_path(str(ROOT / "docs" / "site" / "formula.py"))
 
 
 class Links(HTMLParser):
@@ -70,10 +70,12 @@ def test_what_is_rendered_has_no_fault() -> None:
         ),
         ("0.5<x", "<mn>0.5</mn><mo>&lt;</mo><mi>x</mi>"),
         ("time_constant", "<mtext>time_constant</mtext>"),
+        ("√(2p)", "<msqrt><mn>2</mn><mi>p</mi></msqrt>"),
     ],
 )
 def test_a_formula_is_mathml(text: str, element: str) -> None:
-    assert mathml(text) == f'<div class="formula"><math display="block"><mrow>{element}</mrow></math></div>'
+    assert formula["inline"](text) == f"<math><mrow>{element}</mrow></math>"
+    assert formula["mathml"](text) == f'<div class="formula"><math display="block"><mrow>{element}</mrow></math></div>'
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +119,7 @@ def test_the_pages_are_short(site: Path) -> None:
 def test_the_site_has_no_dead_link_and_loads_nothing_from_elsewhere(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
     assert "<mi>T</mi>" in (site / "effects" / "first_order_lag.html").read_text("utf-8")
+    assert "over <math><mrow><msqrt><mn>12</mn></msqrt></mrow></math>" in (site / "guide/servo.html").read_text("utf-8")
     wanted = {"reference/sysid.gap.html", "machines/autolog.html", "effects/gallery.html", "notebooks/first-look.html"}
     assert {"index.html", *wanted} <= {page.relative_to(site).as_posix() for page in pages}
     for page in pages:
