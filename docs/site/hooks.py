@@ -167,7 +167,8 @@ def output_block(output: dict[str, Any]) -> str:
     data = {kind: "".join(text) for kind, text in output.get("data", {}).items() if isinstance(text, str | list)}
     for kind in ("image/svg+xml", "text/html"):
         if kind in data and "<script" not in data[kind]:
-            return "<div>\n" + re.sub(r"\n\s*\n", "\n", data[kind]) + "\n</div>"
+            text = data[kind].replace(' border="1" class="dataframe"', "")  # a table as those of the other pages
+            return "<div>\n" + re.sub(r"\n\s*\n", "\n", text) + "\n</div>"
     if "image/png" in data:
         return f'<img alt="output of the cell above" src="data:image/png;base64,{data["image/png"].replace(chr(10), "")}">'
     text = "".join(output.get("text", ())) or data.get("text/plain", "") or "\n".join(output.get("traceback", ()))
