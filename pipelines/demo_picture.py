@@ -20,17 +20,14 @@ import sysid
 from sysid.display import quantity
 from sysid.gap import GapResult
 from sysid.machine import Machine
-from sysid.pictures import HEIGHT, WIDTH, PictureCurve, svg
+from sysid.pictures import DARK, HEIGHT, WIDTH, PictureCurve, svg
 
 Array = npt.NDArray[np.float64]
 #: Width of the drawing of one crane [px]; both stand left of the curves.
 PANEL = 190
 MEASURED, BEFORE, AFTER = "#30363c", "#d9822b", "#1a7f64"
 #: Colour of the light picture → that of the dark one.
-DARK = {
-    "#ffffff": "#0d1117", "#eceef0": "#21262d", "#c8ccd0": "#30363d", "#555b61": "#9198a1",
-    MEASURED: "#e6edf3", BEFORE: "#f0883e", AFTER: "#3fb950",
-}  # fmt: skip
+COLOURS = DARK | {BEFORE: "#f0883e", AFTER: "#3fb950"}
 SIGNAL = "ee.z"
 
 
@@ -38,9 +35,9 @@ def pictures(dataset: sysid.Dataset, gap: GapResult) -> dict[str, str]:
     """File name → SVG, for light and dark pages."""
     light = picture(dataset, gap)
     dark = light
-    for number, colour in enumerate(DARK):
+    for number, colour in enumerate(COLOURS):
         dark = dark.replace(colour, f"<{number}>")
-    for number, colour in enumerate(DARK.values()):
+    for number, colour in enumerate(COLOURS.values()):
         dark = dark.replace(f"<{number}>", colour)
     return {"demo-light.svg": light, "demo-dark.svg": dark}
 

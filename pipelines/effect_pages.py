@@ -14,7 +14,7 @@ import pandas as pd
 from sysid.datasets.recording import Recording
 from sysid.effects import CATALOGUE, Effect, Form
 from sysid.effects.catalogue import confusions
-from sysid.pictures import PictureCurve, svg
+from sysid.pictures import DARK, PictureCurve, svg, themed
 from sysid.signals import point_signals
 from sysid.testing.check import typical_values
 from sysid.testing.probe import RATE_HZ, EffectPlace, Values, places_of, plant_run, probe_machine, probe_recording, with_inputs
@@ -39,7 +39,7 @@ def documents() -> dict[str, str]:
     files = {"README.md": _index(), "gallery.md": _gallery()}
     for effect in CATALOGUE:
         files[f"{effect.name}.md"] = page(effect)
-        files[f"{effect.name}.svg"] = _picture(effect)
+        files[f"{effect.name}.svg"] = themed(_picture(effect), DARK | {BLUE: "#58a6ff"})
     return files
 
 

@@ -24,6 +24,8 @@ _SHOWN = {
     "rad/s": (180.0 / math.pi, "°/s"),
     "1": (1.0, ""),
 }
+#: Owner of a signal, or target of an effect → its word; an axis has its own name.
+OWNERS = {"ee": "tip", "machine": "whole machine"}
 #: Symbols that a unit may consist of, in products and quotients (``N·m·s/rad``): SI, and what clocks and logs are measured in.
 _SYMBOLS = {
     *("m", "s", "kg", "A", "K", "mol", "cd", "rad", "sr", "Hz", "N", "Pa", "J", "W", "C", "V", "F", "Ω", "T", "lm", "lx"),
@@ -31,6 +33,16 @@ _SYMBOLS = {
 }
 _SYMBOL = re.compile(r"[^\W\d_⁰¹²³⁴⁵⁶⁷⁸⁹]+|°C|%")
 _JOINTS = re.compile(r"[\s·*/()^⁻⁰¹²³⁴⁵⁶⁷⁸⁹\d.-]*")
+
+
+def owner_name(target: str) -> str:
+    return OWNERS.get(target, target)
+
+
+def signal_name(signal: str) -> str:
+    """``boom.cylinder`` → ``boom cylinder``; ``ee.x`` → ``tip x``."""
+    owner, _, quantity = signal.rpartition(".")
+    return f"{owner_name(owner)} {quantity}"
 
 
 @functools.cache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 640, 240, 64, 12, 26, 36
+#: Background, grid, frame, numbers and words of a plot: colour on a light page → colour on a dark one.
+DARK = {"#ffffff": "#0d1117", "#eceef0": "#21262d", "#c8ccd0": "#30363d", "#555b61": "#9198a1", "#30363c": "#e6edf3"}
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,12 @@ def svg(title: str, x_label: str, y_label: str, lines: Sequence[PictureCurve], e
         style = f'fill="none" stroke="{line.colour}" stroke-width="1.6"{dash}'
         parts.append(f'<polyline points="{place(line.x, line.y)}" {style}/>')
     return "\n".join([*parts, "</svg>", ""])
+
+
+def themed(picture: str, dark: Mapping[str, str] = DARK) -> str:
+    """A plot for a file of its own, with the colours ``dark`` where its reader prefers dark pages."""
+    rules = "".join(f'[fill="{one}"]{{fill:{two}}}[stroke="{one}"]{{stroke:{two}}}' for one, two in dark.items())
+    return picture.replace("</title>", f"</title>\n<style>@media (prefers-color-scheme:dark){{{rules}}}</style>", 1)
 
 
 def ticks(low: float, high: float, count: int = 4) -> list[float]:

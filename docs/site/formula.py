@@ -1,6 +1,6 @@
 """Formulas of the documentation, written as Unicode text (``T·ẋ = u − x``), as MathML, which browsers draw without a script.
 
-Letters are variables, words are text; ``^`` and ``_`` raise and lower the next part or the next parentheses.
+Letters are variables, words are text; ``^``, ``_`` and ``√`` raise, lower and take the root of the next part or parentheses.
 """
 
 from __future__ import annotations
@@ -24,6 +24,11 @@ def mathml(text: str) -> str:
     return f'<div class="formula">{"".join(lines)}</div>'
 
 
+def inline(text: str) -> str:
+    """``text`` as MathML inside a sentence."""
+    return f"<math><mrow>{''.join(_parts(text))}</mrow></math>"
+
+
 def _parts(text: str) -> list[str]:
     """The elements of one line; a raised or lowered part joins the element before it."""
     # Decomposed, ẋ is x and its dot.
@@ -36,6 +41,9 @@ def _parts(text: str) -> list[str]:
         if value in ("^", "_") and found:
             inner, at = _group(tokens, at)
             found[-1] = f"<{_SCRIPTS[value]}>{found[-1]}<mrow>{inner}</mrow></{_SCRIPTS[value]}>"
+        elif value == "√" and at < len(tokens):
+            inner, at = _group(tokens, at)
+            found.append(f"<msqrt>{inner}</msqrt>")
         elif kind in ("msup", "msub") and found:
             found[-1] = f"<{kind}>{found[-1]}<mn>{value.translate(_PLAIN)}</mn></{kind}>"
         else:
@@ -44,7 +52,7 @@ def _parts(text: str) -> list[str]:
 
 
 def _group(tokens: list[tuple[str, str]], at: int) -> tuple[str, int]:
-    """The element after ``^`` or ``_``: one token, or what stands in parentheses; and the place behind it."""
+    """The element after ``^``, ``_`` or ``√``: one token, or what stands in parentheses; and the place behind it."""
     if tokens[at][1] != "(":
         return _element(*tokens[at]), at + 1
     depth, end = 0, at

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from check import faults
-from formula import mathml
+from formula import inline, mathml
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -54,8 +54,12 @@ SOURCE = re.compile(r'(srcset=")([^"]+)(")')
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(<code[^>]*>)~?")
 #: A block of formulas.
 FORMULA = re.compile(r"^```formula\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
+#: A formula inside a sentence, as GitHub has it too.
+INLINE = re.compile(r"\$`([^`\n]+)`\$")
 #: The first line of a block of code with more than its language, at any depth.
 FENCE = re.compile(r"^( *```+\w+) .*$", re.MULTILINE)
+#: A block of code with text on the line after it, which is no paragraph in HTML without a line between them.
+JOINED = re.compile(r"^( *)(```+)\w.*?^\1\2$(?=\n *\S)", re.MULTILINE | re.DOTALL)
 #: A cell of a table: in its code too, a bar is written with a backslash.
 CELL = re.compile(r"<td.*?</td>", re.DOTALL)
 #: Blocks and spans of code, in which brackets are no links.
@@ -85,7 +89,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     What follows the language is for the tests that run the pages; the site takes such a block for text.
     """
     markdown = FORMULA.sub(lambda match: mathml(match[1]), markdown)
-    markdown = FENCE.sub(r"\1", markdown)
+    markdown = INLINE.sub(lambda match: inline(match[1]), markdown)
+    markdown = JOINED.sub(r"\g<0>\n", FENCE.sub(r"\1", markdown))
     if page.file.src_uri.startswith(UNSEARCHED):
         page.meta["search"] = {"exclude": True}
     source = next((path for path, name in pages().items() if name == page.file.src_uri), "")
@@ -162,7 +167,8 @@ def output_block(output: dict[str, Any]) -> str:
     data = {kind: "".join(text) for kind, text in output.get("data", {}).items() if isinstance(text, str | list)}
     for kind in ("image/svg+xml", "text/html"):
         if kind in data and "<script" not in data[kind]:
-            return "<div>\n" + re.sub(r"\n\s*\n", "\n", data[kind]) + "\n</div>"
+            text = data[kind].replace(' border="1" class="dataframe"', "")  # a table as those of the other pages
+            return "<div>\n" + re.sub(r"\n\s*\n", "\n", text) + "\n</div>"
     if "image/png" in data:
         return f'<img alt="output of the cell above" src="data:image/png;base64,{data["image/png"].replace(chr(10), "")}">'
     text = "".join(output.get("text", ())) or data.get("text/plain", "") or "\n".join(output.get("traceback", ()))

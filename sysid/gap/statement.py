@@ -14,7 +14,7 @@ import pandas as pd
 
 from sysid.datasets.quality.responses import AxisResponse, Direction, responses_in
 from sysid.datasets.recording import Recording
-from sysid.display import interval, quantity, ratio
+from sysid.display import interval, quantity, ratio, signal_name
 from sysid.machine import Convention, Machine
 
 Verdict = Literal["named", "no_gap", "unnamed", "ambiguous", "insufficient_excitation"]
@@ -103,12 +103,12 @@ class Agreement:
     def open(self) -> str:
         """Why agreement says nothing here; empty if it does."""
         if not self.moved:
-            return f"{self.signal} does not move"
+            return f"{signal_name(self.signal)} does not move"
         if self.at_rest:
             sizes = f"{quantity(self.motion, self.unit)} (RMS), at a noise floor of {quantity(self.noise_floor, self.unit)}"
-            return f"{self.signal} moves by only {sizes}, in the held-out recordings"
+            return f"{signal_name(self.signal)} moves by only {sizes}, in the held-out recordings"
         if self.floor_source == "unknown" or self.noise_floor > LARGEST_FLOOR * self.motion:
-            return f"the noise of {self.signal} is not known: state it under [noise] in machine.toml"
+            return f"the noise of {signal_name(self.signal)} is not known: state it under [noise] in machine.toml"
         return ""
 
 
@@ -148,16 +148,15 @@ def headline(verdict: str, effects: int, agreement: Sequence[Agreement] = (), di
         open_ = "" if disagrees else next((item.open for item in agreement if item.open), "")
         return f"What can be compared agrees to within sensor noise, but {open_}." if open_ else found
     item, error = max(beyond, key=lambda pair: _severity(*pair))
+    name = signal_name(item.signal)
     size = quantity(error, item.unit) if math.isfinite(error) else "without end"
     size += f" in {item.recording}" if item.recording else ""
     if item.is_away(error):
         sizes = f"{size}, and moves by {quantity(item.motion, item.unit)} (RMS)"
-        return f"The simulation does not follow the machine: {item.signal} is off by {sizes}. {found}"
+        return f"The simulation does not follow the machine: {name} is off by {sizes}. {found}"
     if verdict == "unnamed" and not any(each.remains for each in agreement):
         found = "The simulation has an error that values without a name explain."
-    text = (
-        f"{'With the repair, ' if repaired else ''}{item.signal} is off by {size}, {ratio(item.floors(error))} its noise floor."
-    )
+    text = f"{'With the repair, ' if repaired else ''}{name} is off by {size}, {ratio(item.floors(error))} its noise floor."
     return f"{found} {text}"
 
 

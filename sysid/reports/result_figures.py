@@ -44,13 +44,9 @@ def point_errors(gap: Gap, units: Mapping[str, str]) -> list[ErrorFigure]:
         if name == own[0].name:
             found.append(replace(own[0], name=signal_name(name)))
         else:
-            sizes = (math.hypot(*column) for column in zip(*map(_values, own), strict=True))
+            sizes = (math.hypot(*(getattr(item, when) for item in own)) for when in ("before", "after", "noise_floor"))
             found.append(ErrorFigure(f"{owner_name(name)} position", "m", *sizes))
     return found
-
-
-def _values(item: ErrorFigure) -> tuple[float, float, float]:
-    return item.before, item.after, item.noise_floor
 
 
 def error_table(gap: Gap, units: Mapping[str, str]) -> Table:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sysid import display
+from sysid.display import owner_name as owner_name  # names of owners and signals, for those that take words from here
+from sysid.display import signal_name as signal_name
 from sysid.effects import BY_NAME
 from sysid.effects.wording import sentences_of, title_of
 from sysid.machine import Machine
@@ -27,8 +29,6 @@ STAGES: dict[str, tuple[str, str]] = {
     "end_effector": ("Joints → tip", "driven by the measured joints"),
     "tool": ("Tip → tool", "driven by the measured tip"),
 }
-
-OWNERS = {"ee": "tip", "tool": "tool", "machine": "whole machine", "base": "base"}
 
 ADVICE = {
     "no_gap": "No effect was added. Effects that the recordings do not excite may still be present; they are listed below.",
@@ -47,7 +47,7 @@ def effect_title(name: str, target: str = "", machine: Machine | None = None) ->
 
 def effect_place(name: str, target: str, machine: Machine) -> str:
     """``Dead time of boom``; ``Sensor bias of boom.joint``."""
-    return f"{effect_title(name, target, machine)} of {OWNERS.get(target, target)}"
+    return f"{effect_title(name, target, machine)} of {owner_name(target)}"
 
 
 def tie_text(tie: Iterable[tuple[str, str]], machine: Machine) -> str:
@@ -72,16 +72,6 @@ def effect_sentence(
             return template.format(**values)
     listed = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in parameters.items())
     return f"{effect_title(name, target, machine)} of the {values['target']}: {listed}."
-
-
-def owner_name(target: str) -> str:
-    return OWNERS.get(target, target)
-
-
-def signal_name(signal: str) -> str:
-    """``boom.cylinder`` → ``boom cylinder``; ``ee.x`` → ``tip x``."""
-    owner, _, quantity = signal.rpartition(".")
-    return f"{owner_name(owner)} {quantity}"
 
 
 def stage_name(stage: str) -> str:

@@ -79,7 +79,7 @@ def test_the_page_shows_what_the_commands_print(shared_data: Path, datasets_fold
         recipe.replace('unit = "mm"', 'unit = "cm"').replace("schema = 1", 'schema = 1\nlogs = "logs"')
     )
     blocks = re.findall(r"^```(sh|console)\n(.*?)^```$", PAGE.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
-    assert [kind for kind, _ in blocks] == ["sh", "console", "sh", "console", "sh"]
+    assert [kind for kind, _ in blocks] == ["sh", "console", "sh", "console"]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "SYSID_WORKSPACE": str(tmp_path / "workspace")}
     for (_, command), (_, expected), status in ((blocks[0], blocks[1], 0), (blocks[2], blocks[3], 2)):

@@ -14,6 +14,7 @@ from plant_data import ROLES, arm_inputs, dataset_of, loaded_arm, measured, nomi
 from scipy.signal import lfilter
 
 from sysid.datasets.recording import Dataset
+from sysid.display import signal_name
 from sysid.gap import GapResult, find_gap
 from sysid.gap.statement import AGREES, Agreement, FloorSource, headline, response_differences, response_sentences, verdict_of
 from sysid.machine import KnownEffect
@@ -52,7 +53,7 @@ def test_the_sentence_states_the_largest_error_and_what_runs_away_comes_first(ag
     beyond = [item for item in agreement if not item.floors(item.after if named else item.worst) <= AGREES]
     if any(item.is_away(item.after if named else item.worst) for item in beyond):
         assert text.startswith("The simulation does not follow the machine: ")
-    assert any(f"{signal} is off by" in text for signal in errors) == bool(beyond)
+    assert any(f"{signal_name(signal)} is off by" in text for signal in errors) == bool(beyond)
     away = any(item.is_away(item.after if named else item.worst) for item in beyond)
     assert ("With the repair, " in text) == (named and bool(beyond) and not away)
 
@@ -92,7 +93,7 @@ def test_a_simulation_of_the_wrong_sign_is_said_first() -> None:
     turned = [replace(r, table=r.table.assign(**{"slew.joint": -r.values("slew.joint")})) for r in data.recordings]
     found = find_gap(replace(data, recordings=tuple(turned)), true, localise_only=True)
     assert found.verdict == "unnamed"
-    assert found.headline.startswith("The simulation does not follow the machine: slew.joint is off by ")
+    assert found.headline.startswith("The simulation does not follow the machine: slew joint is off by ")
 
 
 @pytest.mark.slow

@@ -1,30 +1,24 @@
 """The site in a browser: search, sorting, comparison, lineage, phone, keyboard, and what axe-core finds.
 
-Needs Chromium (Debian's package ``chromium``). The script of axe-core is optional: ``AXE_CORE=/path/axe.min.js``, package
-``axe-core`` of npm.
+Needs Chromium (Debian's package ``chromium``).
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from browser_pages import AXE, CHROMIUM, NO_AXE, chromium, findings
+from playwright.sync_api import Browser, Page
 from run_records import keep_run
 from sample_workspace import sample_workspace
 
 from sysid.site import build_site
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-AXE = os.environ.get("AXE_CORE", "")
-#: Nothing may leave this computer.
-OPTIONS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
 PAGES = ("index.html", "lineage.html", "compare.html", "models.html", "datasets/autolog@1.html", "reports/autolog@1.html")
 PAGES = (*PAGES, "models/autolog@2.html", "models/autolog-actuator@1.html", "flights/motion-20260503T141500.html")
 
@@ -41,10 +35,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=OPTIONS)
+    with chromium() as started:
         yield started
-        started.close()
 
 
 @pytest.fixture
@@ -260,7 +252,7 @@ def test_figures_that_were_never_in_view_are_printed(browser: Browser, site: Pat
     context.close()
 
 
-@pytest.mark.skipif(not AXE, reason="axe-core is not here: AXE_CORE=/path/axe.min.js")
+@pytest.mark.skipif(AXE is None, reason=NO_AXE)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 390])
 @pytest.mark.parametrize("path", PAGES)
@@ -272,8 +264,6 @@ def test_axe_finds_nothing_serious(browser: Browser, site: Path, path: str, widt
     )
     page = context.new_page()
     page.goto((site / path).as_uri())
-    page.add_script_tag(path=AXE)
-    found = page.evaluate("axe.run({runOnly: ['wcag2a', 'wcag2aa', 'wcag21aa']})")
+    found = findings(page)
     context.close()
-    serious = [(entry["id"], entry["nodes"][0]["target"]) for entry in found["violations"]]
-    assert serious == []
+    assert found == []

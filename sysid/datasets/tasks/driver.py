@@ -115,7 +115,8 @@ class TaskIngest:
         units, assumed = with_joint_units(units_of({found[k].name: read[k].reading.channels for k in kept}), plan.machine)
         clocks = tuple(record for k in kept for record in aligned[k].clocks)
         rates = tuple(note for own in read for note in own.rates)
-        rates = rates or command_notes((own.commands for own in read), plan.machine.rate_hz)  # of a wrong unit it says nothing
+        if not rates:  # the rate of a wrong unit says nothing
+            rates = command_notes((own.commands for own in read), plan.machine.rate_hz)
         notes = (
             *notes_of(found, plan, mounts, rates, refused),
             *copy_notes(tables),

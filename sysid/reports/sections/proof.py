@@ -70,8 +70,9 @@ def _promotion(found: Promotion, gap: GapResult) -> dict[str, Any]:
 
 def _effects(gap: GapResult, machine: Machine) -> Table:
     rows = [
-        (*_place(effect, machine), Markup("<b>{}</b>").format(display.percent(effect.gap_share)), _without(effect.evidence))
+        (*_place(effect, machine), Markup("<b>{}</b>").format(display.percent(effect.gap_share)), display.ratio(without))
         for effect in gap.effects
+        for without in [effect.evidence.ratio if effect.evidence else math.nan]
     ]
     return Table(("Effect", "Where", "Closes of its stage's gap", "Error without it"), rows, (2, 3))
 
@@ -83,10 +84,6 @@ def _evidence(gap: GapResult, machine: Machine) -> Table:
 
 def _place(effect: NamedEffect, machine: Machine) -> tuple[str, str]:
     return words.effect_title(effect.name, effect.target, machine), words.owner_name(effect.target)
-
-
-def _without(found: EffectEvidence | None) -> str:
-    return display.NOTHING if found is None else display.ratio(found.ratio)
 
 
 def _support(found: EffectEvidence | None) -> tuple[str, str, str]:

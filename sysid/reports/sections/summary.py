@@ -49,7 +49,9 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
     cards = _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, inputs.dataset)
     return {
-        "headline": words.localised([_place(item) for item in found]) if found else gap.headline,
+        "headline": words.localised([f"{words.owner_name(i.target)} ({words.stage_name(i.stage)})" for i in found])
+        if found
+        else gap.headline,
         "advice": "" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
         "picture": Markup(machine_picture(machine, marks)),
@@ -119,10 +121,6 @@ def disagreeing(gap: GapResult) -> list[StageGap]:
     for item in above_floor(gap):
         worst.setdefault((item.stage, item.target), item)
     return list(worst.values())
-
-
-def _place(item: StageGap) -> str:
-    return f"{words.owner_name(item.target)} ({words.stage_name(item.stage)})"
 
 
 def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]) -> list[dict[str, Any]]:

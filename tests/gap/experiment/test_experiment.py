@@ -118,7 +118,7 @@ def test_without_open_hypotheses_nothing_is_proposed() -> None:
     plant = nominal()
     result = find_gap(slow_dataset(plant, 7.0), plant, planning=Planning())
     assert result.verdict == "insufficient_excitation"
-    assert result.headline == "What can be compared agrees to within sensor noise, but slew.joint does not move."
+    assert result.headline == "What can be compared agrees to within sensor noise, but slew joint does not move."
     assert result.experiments == ()
 
 
