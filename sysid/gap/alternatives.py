@@ -44,8 +44,10 @@ def search_alternatives(data: Data, theta: Array, candidates: Sequence[Candidate
     for effect in dict.fromkeys(c.effect.name for c in candidates if c.effect.instead_of):
         forms = [c for c in candidates if c.effect.name == effect]
         others = [c for c in plain if c.effect.name not in forms[0].effect.instead_of]
-        model, fit = found.decision.model, _in_place(data, theta, found.decision.model, forms[-1])
-        before = _left(data, model)
+        model, before = found.decision.model, _left(data, found.decision.model)
+        if not any(c.effect.name in forms[0].effect.instead_of for c in model.candidates) and not divides(before, 0.0):
+            continue  # there is nothing in whose place it could be, and nothing left for it to explain
+        fit = _in_place(data, theta, model, forms[-1])
         few = _fewest(data, theta, before, fit)
         if not divides(before, _left(data, fit)) and not _fewer(few, model):
             found = _beside(data, theta, found, fit)
