@@ -84,9 +84,9 @@ def _cached(**options: Any) -> Callable[[Any], Any]:
 _BARE: Any = {"_nrt": False}
 
 #: A function that is called in every step, such as a step of an effect: inlined into its caller.
-inlined: Any = njit(forceinline=True, error_model="numpy", fastmath={"contract"}, **_BARE)
+inlined: Any = njit(forceinline=True, error_model="numpy", fastmath={"contract", "arcp"}, **_BARE)
 #: A loop over samples or lanes, called from a :data:`kernel` that allocates its arrays.
-loop: Any = njit(nogil=True, error_model="numpy", fastmath={"contract"}, **_BARE)
+loop: Any = njit(nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, **_BARE)
 #: Entry point from Python: cached between processes, releases the interpreter lock.
 kernel: Any = _cached(nogil=True, error_model="numpy")
 #: A kernel whose sums may be reordered (vectorised).

@@ -87,7 +87,8 @@ def code_of_the_page() -> list[str]:
 
 
 def run(folder: Path, code: str, environment: dict[str, str]) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(folder), **environment}
+    places = os.pathsep.join((str(folder), str(ROOT / "pipelines")))
+    environment = {**os.environ, "PYTHONPATH": places, **environment}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
