@@ -19,8 +19,9 @@ HIDE ?=
 demo-arm: $(READY)
 	$(BIN)/sysid --workspace $(WORKSPACE) demo --arm $(addprefix --hide ,$(HIDE))
 
-# Whole files side by side; then, alone, the tests that ask for an answer within milliseconds.
-JOBS ?= $(shell nproc)
+# Whole files side by side, in a process more than there are processors, since tests wait for disks and for processes that they
+# start; then, alone, the tests that ask for an answer within milliseconds.
+JOBS ?= $(shell expr $$(nproc) + 1)
 # Each file is read in a forked process (sysid/confined.py). A fork copies the page tables of a test process of 1 to 2 GB; with
 # pages of 2 MiB, where the C library and the kernel have them, this takes a tenth of the time.
 test test-slow: export GLIBC_TUNABLES := glibc.malloc.hugetlb=1

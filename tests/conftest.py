@@ -27,7 +27,7 @@ os.environ.pop("COLUMNS", None)  # of the terminal in which the tests run; table
 
 ROOT = Path(__file__).parents[1]
 #: Folders of tests that read many log files and are of something else: not the readers, hostile input or faults.
-READ_HERE = ("cli", "datasets", "fleet", "registry", "reports", "versions")
+READ_HERE = ("bench", "cli", "datasets", "fleet", "front", "pipelines", "registry", "reports", "site", "versions", "view")
 
 
 def pytest_collection_finish() -> None:
@@ -65,12 +65,12 @@ def _what_is_kept_stays_kept() -> Iterator[None]:
 def _files_are_read_here(request: pytest.FixtureRequest) -> Iterator[None]:
     """In :data:`READ_HERE` log files are read in this process: a fork for every file takes longer than reading it.
 
-    Not in processes that a test starts, nor in a module with ``READS_IN_PROCESSES``. That each reader gives the same in a
-    process of its own, and that errors are the same, is tested in ``logs/test_confined.py``.
+    Not in processes that a test starts; a module decides for itself by ``READS_IN_PROCESSES``. That each reader gives the same
+    in a process of its own, and that errors are the same, is tested in ``logs/test_confined.py``.
     """
     folder = request.path.relative_to(ROOT / "tests").parts[0]
     with pytest.MonkeyPatch.context() as patch:
-        if folder in READ_HERE and not getattr(request.module, "READS_IN_PROCESSES", False):
+        if not getattr(request.module, "READS_IN_PROCESSES", folder not in READ_HERE):
             for name in ("reader", "inspection"):
                 patch.setattr(f"sysid.logs.{name}.confined", read_here)
         yield

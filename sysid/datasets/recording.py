@@ -47,7 +47,13 @@ class Recording:
     def values(self, signal: str) -> npt.NDArray[np.float64]:
         """The signal as float64 (n,), read-only; all NaN where the recording does not have it."""
         found = self._arrays.get(signal)
-        return found if found is not None else _missing(len(self.table))
+        if found is None:
+            found = _missing(len(self.table))
+            if signal in self.table.columns:
+                found = self.table[signal].to_numpy(dtype=np.float64).view()
+                found.setflags(write=False)
+            self._arrays[signal] = found
+        return found
 
     @functools.cached_property
     def derived(self) -> dict[Hashable, Any]:
@@ -56,11 +62,8 @@ class Recording:
 
     @functools.cached_property
     def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Columns as plain arrays without a copy, because a fit accesses them thousands of times."""
-        arrays = {str(column): self.table[column].to_numpy(dtype=np.float64).view() for column in self.table.columns}
-        for values in arrays.values():
-            values.setflags(write=False)
-        return arrays
+        """Plain arrays of signals, without a copy, because a fit accesses them thousands of times."""
+        return {}
 
 
 _longest_missing = np.empty(0)

@@ -12,7 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import dropwhile
 from pathlib import Path
 
@@ -189,7 +189,7 @@ class _Split:
         most = max(counts, key=lambda count: (counts[count], count))
         return min(most, max(_filled(row.cells) for row in self.rows))  # delimiters at the end of every line
 
-    @property
+    @cached_property
     def score(self) -> float:
         """Share of rows of equal length, weighted with the share of numbers among the cells below the header."""
         if max(len(row.cells) for row in self.rows) < 2:
@@ -345,6 +345,7 @@ def _filled_width(split: _Split, first: int | None) -> int:
     return max((_filled(row.cells) for row in split.rows[first:]), default=0) if first is not None else 0
 
 
+@lru_cache(maxsize=2**12)
 def _kind(cell: str, decimal: str) -> int:
     """0: a missing value, 1: a number, a list of numbers or a stamp, 2: text."""
     if cell.lower() in _MISSING:

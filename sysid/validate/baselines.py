@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Dataset
+from sysid.machine.description import Linkage
+from sysid.machine.linkage import TriangleLinkage
 
 Array = npt.NDArray[np.float64]
 #: Inputs (n, d) → outputs (n,) or (n, d_out).
@@ -48,15 +50,19 @@ def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Pre
     """The triangle of two levers and a cylinder (law of cosines), its four lengths and angles fitted to rows (n,).
 
     The residual is that of the joint for ``to_joint``, else of the displacement. For another linkage, such as a four-bar drive,
-    the result is the best triangle.
+    the result is the best triangle. The last fits are cached, as above.
     """
+    linkage = _triangle(displacements.tobytes(), joints.tobytes(), to_joint)
+    return lambda x: linkage.joint(x[:, 0]) if to_joint else linkage.displacement(x[:, 0])
+
+
+@functools.lru_cache(maxsize=16)
+def _triangle(cylinder: bytes, joint: bytes, to_joint: bool) -> TriangleLinkage:
     from scipy.optimize import least_squares
 
-    from sysid.machine.description import Linkage
-    from sysid.machine.linkage import TriangleLinkage
-
+    displacements, joints = np.frombuffer(cylinder), np.frombuffer(joint)
     stroke = float(np.ptp(displacements))
-    best: tuple[float, TriangleLinkage] | None = None
+    fits: list[tuple[float, TriangleLinkage]] = []
     for sense in (1, -1):
         for lever in (0.7, 2.0):
             # Start with the lever angle around a right angle, where a triangle is nearly linear.
@@ -75,11 +81,8 @@ def linkage_geometry(displacements: Array, joints: Array, to_joint: bool) -> Pre
                 )
 
             fit = least_squares(errors, start, x_scale=np.maximum(np.abs(start), 1e-2), max_nfev=60)
-            if best is None or fit.cost < best[0]:
-                best = (float(fit.cost), triangle(fit.x))
-    assert best is not None
-    linkage = best[1]
-    return lambda x: linkage.joint(x[:, 0]) if to_joint else linkage.displacement(x[:, 0])
+            fits.append((float(fit.cost), triangle(fit.x)))
+    return min(fits, key=lambda found: found[0])[1]
 
 
 def urdf_kinematics(dataset: Dataset) -> Predict | None:

@@ -138,7 +138,7 @@ def ingested(recipe: BenchRecipe, tmp_path_factory: pytest.TempPathFactory) -> C
 
     def build(log: str, export: str) -> Path:
         site = tmp_path_factory.mktemp("site")
-        recordings = tuple(RecordingSettings(name, seed, seconds=20.0) for name, seed in (("one", 1), ("two", 2), ("three", 3)))
+        recordings = tuple(RecordingSettings(name, seed, seconds=12.0) for name, seed in (("one", 1), ("two", 2), ("three", 3)))
         capture = replace(recipe.capture, export=(export,), swaps=(), exported_markers=())  # type: ignore[arg-type]
         controller = replace(recipe.controller, log=(log,))  # type: ignore[arg-type]
         chosen = replace(recipe, recordings=recordings, capture=capture, controller=controller)

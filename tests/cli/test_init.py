@@ -165,6 +165,9 @@ def test_logs_in_the_laid_out_folder_are_ingested_as_the_templates_stand(kind: s
         assert stages[signal]["stage_rmse"] > 10.0 * stages[signal]["noise_floor"], "what the template's simulation lacks shows"
 
 
+@pytest.mark.parametrize(
+    "kind", ["servo", *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS if kind != "servo")], indirect=True
+)
 def test_a_laid_out_machine_gets_its_effect_named(kind: str, ingested: Path, tmp_path: Path) -> None:
     assert run("--workspace", ingested, "gap", "mine", "--json", tmp_path / "gap.json") == 0
     _, name, missing = MACHINES[kind]

@@ -366,7 +366,7 @@ def test_a_stroke_that_is_missing_is_proposed(tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.parametrize("kind", [pytest.param("csv", marks=pytest.mark.slow), "mcap"])
 def test_looking_costs_no_more_than_ingesting(tmp_path: Path, kind: str) -> None:
     """Each file is read in a process of its own, which must not load libraries again for every file."""
-    for number in range(24):
+    for number in range(10):
         folder = tmp_path / f"logs/run{number}"
         folder.mkdir(parents=True)
         rows = [{"time": k / 50.0, "arm.command": np.sin(k / 9.0 + number), "arm.joint": np.cos(k / 9.0)} for k in range(300)]

@@ -36,7 +36,7 @@ PAGES = {
     "datasets/xl330/README.md": "bam_xl330",
 }
 #: Pages that are short, which show how commands are followed; that the commands of all exist: tests/contract.
-FAST = ("docs/guide/electric-arm.md", "docs/guide/mujoco.md", "docs/guide/export.md")
+FAST = ("docs/guide/electric-arm.md", "docs/guide/export.md")
 
 
 def steps(name: str, folder: Path, request: pytest.FixtureRequest, slow: bool) -> Iterator[Step]:

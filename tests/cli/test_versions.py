@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,14 +27,21 @@ def record(folder: Path, seed: int) -> None:
     pd.DataFrame(table).to_csv(folder / "log.csv", index=False)
 
 
-@pytest.fixture
-def place(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def ingested(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """``demo@1`` of three recordings in ``ws``, their logs in ``logs``."""
+    folder = tmp_path_factory.mktemp("ingested")
     for index in range(3):
-        record(tmp_path / "logs" / f"r{index}", index)
-    (tmp_path / "logs/machine.toml").write_text(MACHINE)
-    assert run("--workspace", tmp_path / "ws", "ingest", tmp_path / "logs") == 0
-    return tmp_path
+        record(folder / "logs" / f"r{index}", index)
+    (folder / "logs/machine.toml").write_text(MACHINE)
+    assert run("--workspace", folder / "ws", "ingest", folder / "logs") == 0
+    return folder
+
+
+@pytest.fixture
+def place(ingested: Path, tmp_path: Path) -> Path:
+    """A copy of :func:`ingested`."""
+    return shutil.copytree(ingested, tmp_path / "place")
 
 
 def model(name: str, lineage: Mapping[str, Any]) -> ModelVersion:

@@ -69,6 +69,7 @@ def test_a_key_that_does_not_exist_suggests_the_nearest(workspace: Path, capsys:
     assert "no finding has this key; expected 'boom.joint:range'?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_the_commands_print(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:
     """The example of docs/guide/wrong-data.md, word by word."""
     folder = tmp_path / "excavator"

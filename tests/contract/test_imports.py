@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -70,17 +71,22 @@ def part_of(path: Path, package: Path = PACKAGE) -> str:
     return "" if first == "__init__" else first
 
 
+@functools.cache
+def import_statements(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """All of a file, inside functions and for types alone too."""
+    tree = ast.parse(path.read_text("utf-8"), str(path))
+    return tuple(node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom))
+
+
 def imported_parts(path: Path, package: str = "sysid") -> Iterator[tuple[str, int]]:
     """The parts of a package that a file imports anywhere in it (also inside functions), with the line."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, f"{path}:{node.lineno}: relative import"
             module = node.module or ""
             names = [f"{package}.{alias.name}" for alias in node.names] if module == package else [module]
-        else:
-            continue
         for name in names:
             words = name.split(".")
             if words[0] == package and len(words) > 1 and words[1] != "__version__":
@@ -93,41 +99,36 @@ def test_every_part_has_its_floor() -> None:
     assert found <= listed, f"no floor for {sorted(found - listed)}: enter it in FLOORS"
 
 
-@pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_point_downwards(path: Path) -> None:
-    part = part_of(path)
-    floor_of = {name: number for number, floor in enumerate(FLOORS) for name in floor}
-    if path == PACKAGE / "__init__.py":  # the names that `import sysid` offers are of many parts
-        return
-    mine = floor_of.get(part, -1)
-    wrong = [
-        f"line {line}: sysid.{other}"
-        for other, line in imported_parts(path)
-        if other != part and floor_of.get(other, len(FLOORS)) >= mine
+def not_downwards(folder: Path, floors: Sequence[Sequence[str]]) -> list[str]:
+    """Imports of files in a package that lead to its own floor or a higher one."""
+    floor_of = {name: number for number, floor in enumerate(floors) for name in floor}
+    return [
+        f"{path.relative_to(ROOT)}, line {line}: {folder.name}.{other}"
+        for path in sources(folder)
+        if path != folder / "__init__.py"  # the names that the package offers are of many parts
+        for part in [part_of(path, folder)]
+        for other, line in imported_parts(path, folder.name)
+        if other != part and floor_of.get(other, len(floors)) >= floor_of.get(part, -1)
     ]
-    assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
 
 
-@pytest.mark.parametrize("path", sources(DOWNSTREAM), ids=lambda path: str(path.relative_to(DOWNSTREAM)))
-def test_imports_of_the_package_downstream_point_downwards(path: Path) -> None:
-    floor_of = {name: number for number, floor in enumerate(DOWNSTREAM_FLOORS) for name in floor}
-    part = part_of(path, DOWNSTREAM)
-    assert part in floor_of or path == DOWNSTREAM / "__init__.py", "enter it in DOWNSTREAM_FLOORS"
-    mine = floor_of.get(part, -1)
-    wrong = [
-        f"line {line}: sysid_rl.{other}"
-        for other, line in imported_parts(path, "sysid_rl")
-        if other != part and floor_of.get(other, len(FLOORS)) >= mine
-    ]
-    assert not wrong, f"{path.relative_to(ROOT)} imports upwards or sideways: {wrong}"
-    assert part == "cli" or "cli" not in {other for other, _ in imported_parts(path)}, f"{path.relative_to(ROOT)}: a verb"
+def test_imports_point_downwards() -> None:
+    assert not_downwards(PACKAGE, FLOORS) == []
 
 
-@pytest.mark.parametrize("path", sources(BENCH), ids=lambda path: str(path.relative_to(BENCH)))
-def test_the_simulated_test_bench_shares_nothing_with_what_is_tested_on_it(path: Path) -> None:
-    wrong = [f"line {line}: sysid.{other}" for other, line in imported_parts(path) if other not in BENCH_MAY_IMPORT]
-    wrong += [f"line {line}: sysid_rl.{other}" for other, line in imported_parts(path, "sysid_rl")]
-    assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
+def test_imports_of_the_package_downstream_point_downwards() -> None:
+    assert not_downwards(DOWNSTREAM, DOWNSTREAM_FLOORS) == []
+    files = [path for path in sources(DOWNSTREAM) if path != DOWNSTREAM / "__init__.py"]
+    assert {part_of(path, DOWNSTREAM) for path in files} <= {part for floor in DOWNSTREAM_FLOORS for part in floor}
+    verbs = [path for path in files if "cli" in {other for other, _ in imported_parts(path)}]
+    assert [path for path in verbs if part_of(path, DOWNSTREAM) != "cli"] == []
+
+
+def test_the_simulated_test_bench_shares_nothing_with_what_is_tested_on_it() -> None:
+    for path in sources(BENCH):
+        wrong = [f"line {line}: sysid.{other}" for other, line in imported_parts(path) if other not in BENCH_MAY_IMPORT]
+        wrong += [f"line {line}: sysid_rl.{other}" for other, line in imported_parts(path, "sysid_rl")]
+        assert not wrong, f"{path.relative_to(ROOT)} may not import {wrong}"
 
 
 @pytest.mark.parametrize(
@@ -140,13 +141,11 @@ def test_a_package_does_not_name_what_builds_on_it(folder: Path, word: str) -> N
 
 def imported_modules(path: Path) -> Iterator[str]:
     """Modules of ours that a file imports, inside functions and for types alone too; of a package, what it takes from it."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))):
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
         else:
-            continue
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
         for name in names:
             while name and name not in MODULES:
                 name = name.rpartition(".")[0]
@@ -185,9 +184,10 @@ def test_the_checker_sees_an_upward_import(tmp_path: Path) -> None:
 def defined_in(path: Path) -> set[str]:
     """Names that a module has, those that it imports lazily among them."""
     tree = ast.parse(path.read_text("utf-8"), str(path))
-    lazy = any(isinstance(node, ast.Name) and node.id == "lazy_names" for node in ast.walk(tree))
-    found = {node.value for node in ast.walk(tree) if lazy and isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    for node in ast.walk(tree):
+    nodes, found = list(ast.walk(tree)), set[str]()
+    if any(isinstance(node, ast.Name) and node.id == "lazy_names" for node in nodes):
+        found = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    for node in nodes:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             found.add(node.id)
         elif isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -199,7 +199,7 @@ def defined_in(path: Path) -> set[str]:
 
 def missing_names(path: Path, defined: dict[str, set[str]]) -> list[str]:
     """What a file takes from our packages that is not there."""
-    nodes = (node for node in ast.walk(ast.parse(path.read_text("utf-8"), str(path))) if isinstance(node, ast.ImportFrom))
+    nodes = (node for node in import_statements(path) if isinstance(node, ast.ImportFrom))
     ours = [node for node in nodes if (node.module or "").partition(".")[0] in ("sysid", "sysid_rl", "simulated_bench")]
     taken = [(node.lineno, str(node.module), alias.name) for node in ours for alias in node.names]
     return [

@@ -61,7 +61,10 @@ def parts(identifier: str) -> set[str]:
 def test_no_retired_word_is_part_of_a_name() -> None:
     found = []
     for path in CODE:
-        tokens = tokenize.generate_tokens(io.StringIO(path.read_text("utf-8")).readline)
+        text = path.read_text("utf-8")
+        if not any(parts(word) & RETIRED.keys() for word in set(re.findall(r"\w+", text))):
+            continue  # neither in a name nor in a comment
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
         names = {token.string: token.start[0] for token in tokens if token.type == tokenize.NAME}
         found += [
             f"{path.relative_to(ROOT)}:{line}: {name} (use: {RETIRED[word]})"

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 from command_line import run
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
@@ -97,7 +98,9 @@ def described(folder: Path, given: dict[str, str] | None = None, kind: str | Non
     return describe(files, folder, "m", Answers(given or {}), kind)
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 100))])
+@pytest.mark.parametrize(
+    "seed", [30, 11, 44, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(100) if seed not in (11, 30, 44))]
+)
 def test_what_is_drafted_is_right_or_asked(tmp_path: Path, seed: int) -> None:
     folder = tmp_path / "logs"
     truth = logs(folder, seed)
@@ -125,17 +128,12 @@ def test_what_is_drafted_is_right_or_asked(tmp_path: Path, seed: int) -> None:
 
 def test_an_answer_replaces_the_proposal(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
-    seed = next(seed for seed in range(0, 40, 2) if unit_asked(tmp_path / f"try{seed}", seed))
-    logs(folder, seed)
+    logs(folder, 24)  # a hydraulic machine with columns in mm
     assert 'unit = "cm"' in described(folder, {"unit": "cm"}).recipe
     with pytest.raises(SettingsError, match="no choice"):
         described(folder, {"unit": "inch"})
     with pytest.raises(SettingsError, match="no such question"):
         described(folder, {"units": "cm"})
-
-
-def unit_asked(folder: Path, seed: int) -> bool:
-    return logs(folder, seed).unit == "mm"
 
 
 def test_a_motion_that_is_computed_from_its_command_is_asked(tmp_path: Path) -> None:
@@ -157,7 +155,7 @@ def test_a_motion_that_is_computed_from_its_command_is_asked(tmp_path: Path) -> 
 
 def test_columns_that_say_nothing_are_assigned(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
-    truth = logs(folder, 0)
+    truth = logs(folder, 24)
     for path in folder.glob("*.csv"):
         table = pd.read_csv(path).iloc[:, :3]
         table.set_axis(["time", "vir", "xm"], axis=1).to_csv(path, index=False)
@@ -191,8 +189,7 @@ def test_tables_of_one_recording_are_kept_apart_by_their_files(tmp_path: Path) -
 def test_a_recording_in_another_unit_has_an_entry_of_its_own(tmp_path: Path) -> None:
     """One log in centimetres, the others in millimetres, under the same names."""
     folder = tmp_path / "logs"
-    seed = next(seed for seed in range(0, 40, 2) if unit_asked(tmp_path / f"try{seed}", seed))
-    truth = logs(folder, seed)
+    truth = logs(folder, 24)  # a hydraulic machine with columns in mm
     path = folder / "run1.csv"
     table = pd.read_csv(path)
     table.assign(**{name: table[name] / 10.0 for name in table.columns[2::2]}).to_csv(path, index=False)
@@ -220,6 +217,13 @@ def with_the_motor_off(folder: Path, off: tuple[int, ...], count: int = 6) -> No
         pd.DataFrame({"t": time, "goal_position": goal, "position": place}).to_csv(folder / f"run{k}.csv", index=False)
 
 
+@pytest.fixture
+def without_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``sysid start`` ends before its search, which ``test_a_description_that_is_there_is_used`` makes."""
+    monkeypatch.setattr("sysid.cli.gap.gap", lambda **_: None)
+
+
+@pytest.mark.usefixtures("without_search")
 def test_recordings_in_which_the_command_does_not_act_are_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with_the_motor_off(tmp_path / "logs", (1, 4))
     found = described(tmp_path / "logs", {"position_unit": "rad"})
@@ -291,9 +295,10 @@ def test_the_scale_of_a_force_without_a_unit_is_asked_and_masses_follow_it(tmp_p
         described(folder, {"force_scale": "much"}, kind="force")
 
 
+@pytest.mark.usefixtures("without_search")
 def test_tables_without_a_time_have_the_rate_that_is_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The remedy of the refusal, followed to the letter, and records in a file whose suffix says nothing."""
-    logs(tmp_path / "logs", 47)
+    logs(tmp_path / "logs", 35)
     for path in (tmp_path / "logs").glob("*.csv"):
         table = pd.read_csv(path).drop(columns="time")
         path.with_suffix(".json").write_text(table.to_json(orient="records"))
@@ -305,15 +310,15 @@ def test_tables_without_a_time_have_the_rate_that_is_stated(tmp_path: Path, caps
     assert "--set rate_hz=100" in capsys.readouterr().err
     assert run(*verb, "--reader", "json", "--set", "rate_hz=0") == 2
     assert "--set rate_hz" in capsys.readouterr().err
-    assert run(*verb, "--reader", "json", "--set", "rate_hz=100", "--yes", "--out", tmp_path / "m") == 0
+    assert run(*verb, "--reader", "json", "--set", "rate_hz=50", "--yes", "--out", tmp_path / "m") == 0
     recipe = load_recipe(tmp_path / "m/recipe.toml")
-    assert {(stream.reader, stream.rate_hz) for stream in recipe.streams} == {("json", 100.0)}
-    assert "rate_hz = 100.0" in (tmp_path / "m/machine.toml").read_text()
+    assert {(stream.reader, stream.rate_hz) for stream in recipe.streams} == {("json", 50.0)}
+    assert "rate_hz = 50.0" in (tmp_path / "m/machine.toml").read_text()
 
 
 def test_columns_without_a_command_are_said(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
-    logs(folder, 0)
+    logs(folder, 24)
     for path in folder.glob("*.csv"):
         table = pd.read_csv(path)
         table.assign(battery_level=np.linspace(12.0, 11.0, len(table))).to_csv(path, index=False)
@@ -325,7 +330,7 @@ names = st.sampled_from(["boom cmd", "boom pos", "cmd", "pos", "q[0]", "tau_1", 
 
 
 @given(st.integers(0, 40), st.lists(names, min_size=1, max_size=5, unique=True), st.data())
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_whatever_the_columns_hold_there_is_a_description_or_a_reason(
     tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
@@ -345,6 +350,7 @@ def test_whatever_the_columns_hold_there_is_a_description_or_a_reason(
         load_recipe(folder / "recipe.toml")
 
 
+@pytest.mark.slow
 def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, workspace, result = tmp_path / "digger", tmp_path / "ws", tmp_path / "start.json"
     logs(folder, 24)
@@ -367,7 +373,7 @@ def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_a_description_that_is_there_is_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A machine.toml and canonical columns need no recipe; a recipe needs its machine."""
     folder = tmp_path / "logs"
-    logs(folder, 202)
+    logs(folder, 214)
     (folder / "recipe.toml").write_text("schema = 1\n")
     assert run("--workspace", tmp_path / "ws", "start", folder, "--yes") == 2
     assert "without machine.toml" in capsys.readouterr().err

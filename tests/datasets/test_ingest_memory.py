@@ -35,7 +35,7 @@ def content(workspace: Path) -> list[Any]:
 
 
 def test_the_same_version_comes_out_of_memory_and_of_scratch_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    logs = shortened(AUTOLOG, tmp_path / "logs", {"manual-01": 30.0, "manual-02": 30.0, "manual-06": 30.0, "poses": 800.0})
+    logs = shortened(AUTOLOG, tmp_path / "logs", {"manual-01": 12.0, "manual-02": 12.0, "manual-06": 12.0, "poses": 200.0})
     ingest(logs, tmp_path / "memory")
     monkeypatch.setattr("sysid.scratch.FREE", 0)
     monkeypatch.setattr("sysid.scratch.SMALLEST", 1)

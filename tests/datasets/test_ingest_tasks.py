@@ -32,7 +32,7 @@ def files(workspace: Path) -> list[str]:
     return sorted(str(path.relative_to(workspace)) for path in workspace.rglob("*") if path.is_file() and path.name != ".lock")
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_tasks_give_the_same_version_to_the_byte(tmp_path: Path, workers: int) -> None:
     logs = one_lift(tmp_path / "logs")
     ingest(logs, tmp_path / "alone")

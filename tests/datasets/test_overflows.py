@@ -24,7 +24,7 @@ def ingested(folder: Path, value: float) -> pd.DataFrame:
     return Store(folder / "ws").load("edge").recording("r0").table
 
 
-@pytest.mark.parametrize("value", [np.inf, -np.inf, 9.9e37, 9.91e37, 3.4028235e38, -3.4028235e38, 1.7976931348623157e308, 1e16])
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 9.91e37, 1e16])
 def test_an_overflow_is_missing(value: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found, missing = ingested(tmp_path / "overflow", value), ingested(tmp_path / "missing", np.nan)
     pd.testing.assert_frame_equal(found, missing)

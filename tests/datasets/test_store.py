@@ -73,6 +73,7 @@ def _ingest_one(arguments: tuple[str, str]) -> str:
     return ingest(*arguments).reference
 
 
+@pytest.mark.slow
 def test_concurrent_writers_get_versions_of_their_own(tmp_path: Path) -> None:
     folders = [str(make_logs(tmp_path / f"logs{seed}", seed)) for seed in range(3)]
     jobs = [(folder, str(tmp_path / "ws")) for folder in (*folders, folders[0])]
@@ -88,14 +89,14 @@ def _save(workspace: Path, dataset: Dataset, channels: dict[str, tuple[Channel, 
     return Store(workspace).save(dataset, channels, PartRecord(1)).reference
 
 
-@pytest.mark.parametrize("every", [8, pytest.param(1, marks=pytest.mark.slow)])
-def test_a_writer_killed_at_any_step_leaves_a_whole_version_or_none(tmp_path: Path, every: int) -> None:
+@pytest.mark.slow
+def test_a_writer_killed_at_any_step_leaves_a_whole_version_or_none(tmp_path: Path) -> None:
     made = ingest(make_logs(tmp_path / "logs", rows=100), tmp_path / "made")
     channels = {r.name: (Channel("a.joint", "log.csv", "machine", np.arange(5), np.zeros(5)),) for r in made.recordings}
     workspace = tmp_path / "ws"
     store = Store(workspace)
     seen = []
-    for _ in killed_at_every_step(_save, workspace, made, channels, every=every):
+    for _ in killed_at_every_step(_save, workspace, made, channels):
         seen.append(len(store.list()))
         assert all(len(store.load(entry.reference).recordings) == 3 for entry in store.list())
     assert seen.count(0) > 5

@@ -68,7 +68,7 @@ def test_recordings_that_agree_blame_no_key_that_is_not_there(tmp_path: Path) ->
     assert finding.causes[0].text == "`gain` in machine.toml of axis ram is left out, or an estimate"
 
 
-@pytest.mark.parametrize("gain", [0.3, None])
+@pytest.mark.parametrize("gain", [pytest.param(0.3, marks=pytest.mark.slow), None])
 def test_the_gap_corrects_the_gain_and_names_the_effect(tmp_path: Path, gain: float | None) -> None:
     """Also after the remedy for a gain that is left out."""
     if gain is None:

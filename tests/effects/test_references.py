@@ -460,7 +460,7 @@ def test_tip_offset_is_that_of_a_point_on_the_last_moving_link() -> None:
 
 
 @pytest.mark.parametrize(("rate_hz", "tolerance"), [(100.0, 0.02), (1000.0, 0.002)])
-@pytest.mark.parametrize(("length", "damping"), [(0.22, 0.03), (0.6, 0.1)])
+@pytest.mark.parametrize(("length", "damping"), [(0.22, 0.03), pytest.param(0.6, 0.1, marks=pytest.mark.slow)])
 def test_sway_is_a_spherical_pendulum(length: float, damping: float, rate_hz: float, tolerance: float) -> None:
     """Swings by 0.4 of the length, in both directions, with the pivot moving up and down as well; first order in the step."""
     time = np.arange(round(8.0 * rate_hz)) / rate_hz

@@ -32,6 +32,7 @@ def networks(place: Workspace) -> list[dict[str, str]]:
     return [dict(place.models.load(f"{name}-forward@1").sha256) for name in NAMES]
 
 
+@pytest.mark.slow
 def test_several_datasets_get_the_networks_of_single_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     alone, processes = (workspace(tmp_path / name) for name in ("alone", "processes"))
     for name in NAMES:

@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 from defusedxml.ElementTree import parse
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_every_target import RATE, chain, exported, joint, link, plant_of, sdf_agrees, two_axes
@@ -107,7 +108,7 @@ VARIANTS: dict[str, tuple[KnownEffect, ...]] = {
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", ["displaced", pytest.param("hanging", marks=pytest.mark.slow)])
 def test_hostile_names_in_every_target(variant: str, target: Target, tmp_path: Path) -> None:
     plant = hostile(*VARIANTS[variant])
     made = exported(plant, target, tmp_path, force=target.name in TABLES)
@@ -232,7 +233,7 @@ def test_a_payload_beside_a_link_of_that_name(tmp_path: Path) -> None:
     ]
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(32), deadline=None)
 @given(PRINTABLE.filter(lambda name: "/" not in name and "\\" not in name and name not in (".", "..")))
 def test_the_name_of_a_machine_is_data(name: str) -> None:
     """The parser of each language reads the files, and finds the name whole; source code does not depend on it."""
@@ -262,7 +263,7 @@ def written_sources(name: str) -> dict[str, str]:
         return {path.name: path.read_text("utf-8") for path in folder.iterdir() if path.suffix in (".py", ".m")}
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=examples(24), deadline=None)
 @given(st.lists(PRINTABLE, min_size=4, max_size=4, unique=True), st.lists(PRINTABLE, min_size=3, max_size=3, unique=True))
 def test_names_of_parts_are_read_again(links: list[str], joints: list[str]) -> None:
     """By MuJoCo, and by a parser of XML."""

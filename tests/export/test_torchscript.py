@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_drive_model import STICKING, TOGETHER, name_of, placed, probe_plant, shipped, true_value
@@ -71,6 +72,12 @@ def everything() -> Plant:
     return plant
 
 
+@functools.cache
+def of_everything() -> tuple[Plant, Any]:
+    plant = everything()
+    return plant, script_of(plant, RATE_HZ)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("item", placed(), ids=name_of)
 def test_equals_the_plant(item: KnownEffect) -> None:
@@ -81,8 +88,8 @@ def test_equals_the_plant(item: KnownEffect) -> None:
 
 def test_equals_the_plant_with_everything_at_once(tmp_path: Path) -> None:
     """From its file, and with the readings of its sensors."""
-    plant = everything()
-    save_script(script_of(plant, RATE_HZ), tmp_path / "drive_model.pt")
+    plant, made = of_everything()
+    save_script(made, tmp_path / "drive_model.pt")
     module = load_script(tmp_path / "drive_model.pt")
     signals = by_script(module, module.theta(1), commands_of(plant))
     assert_same(plant, signals, 0)
@@ -175,7 +182,7 @@ def drawn_module() -> tuple[Plant, Any]:
     return plant, script_of(plant, RATE_HZ, 1.1 * plant.vector()[None])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_equals_the_kernels_for_drawn_parameters_and_commands(seed: int) -> None:
     """A few steps of all effects at once, three machines of a batch, to rounding."""
@@ -201,8 +208,8 @@ def test_equals_the_kernels_for_drawn_parameters_and_commands(seed: int) -> None
 
 def test_derivatives_by_the_parameters() -> None:
     """Finite for every effect, and those of smooth ones as differences of runs give them."""
-    plant = everything()
-    module, commands = script_of(plant, RATE_HZ), commands_of(plant)[:60]
+    plant, module = of_everything()
+    commands = commands_of(plant)[:25]
 
     def output(theta: Any) -> Any:
         state, _ = module.begin(theta, *(torch.tensor(values)[None] for values in (JOINTS, DRIVE, HELD)))
@@ -227,7 +234,7 @@ def test_derivatives_by_the_parameters() -> None:
 
 def test_only_numbers_are_in_the_code() -> None:
     """Names of axes, signals and machines are values of the module."""
-    module = script_of(everything(), RATE_HZ)
+    _, module = of_everything()
     names = (*everything().machine.axis_names, "probe")
     assert not any(name in module.functions.step.code for name in names)
 

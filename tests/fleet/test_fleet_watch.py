@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -40,12 +41,21 @@ def named(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return references
 
 
-def begun(folder: Path) -> Path:
-    """A workspace with the first four flights of lift-1."""
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace with the first four flights of lift-1, beside them."""
+    folder = tmp_path_factory.mktemp("first")
     for k in range(4):
         fly(folder, 0.08, k)
     ingest(folder / "flights", folder / "workspace", recipe=folder / "flights" / "recipe.toml", name="lift-1")
-    return folder / "workspace"
+    return folder
+
+
+@pytest.fixture
+def place(first: Path, tmp_path: Path) -> Path:
+    """The workspace in a copy of :func:`first`, which is ``tmp_path``."""
+    shutil.copytree(first, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "workspace"
 
 
 @contextmanager
@@ -66,8 +76,8 @@ def growing(path: Path) -> Iterator[None]:
             done.set()
 
 
-def test_flights_that_arrive_one_by_one(tmp_path: Path, named: list[str]) -> None:
-    place, flights = begun(tmp_path), tmp_path / "flights"
+def test_flights_that_arrive_one_by_one(place: Path, tmp_path: Path, named: list[str]) -> None:
+    flights = tmp_path / "flights"
     result = watch(place, "lift-1", [flights])
     assert (named, result.new, result.fleet.drifts) == (["lift-1@1"], (), ())
     seen: list[str] = []
@@ -107,8 +117,7 @@ def test_flights_that_arrive_one_by_one(tmp_path: Path, named: list[str]) -> Non
 
 
 @pytest.mark.slow
-def test_effects_of_machines_like_it_are_watched_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    place = begun(tmp_path)
+def test_effects_of_machines_like_it_are_watched_as_well(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ingest(tmp_path / "flights", place, recipe=tmp_path / "flights" / "recipe.toml", name="lift-2")
 
     def name_effects(location: str, reference: str, plant: str | None) -> FleetMachine:
@@ -122,8 +131,8 @@ def test_effects_of_machines_like_it_are_watched_as_well(tmp_path: Path, monkeyp
     assert [h.parameter for h in found.histories] == ["positive", "negative"]
 
 
-def test_a_log_that_cannot_be_used_does_not_hold_up_the_others(tmp_path: Path, named: list[str]) -> None:
-    place, flights = begun(tmp_path), tmp_path / "flights"
+def test_a_log_that_cannot_be_used_does_not_hold_up_the_others(place: Path, tmp_path: Path, named: list[str]) -> None:
+    flights = tmp_path / "flights"
     broken, whole = fly(tmp_path, 0.08, 20), fly(tmp_path, 0.08, 21)
     broken.write_bytes(b"no log")
     result = watch(place, "lift-1", [flights], quiet_s=QUIET)
@@ -132,8 +141,8 @@ def test_a_log_that_cannot_be_used_does_not_hold_up_the_others(tmp_path: Path, n
 
 
 @pytest.mark.slow
-def test_two_watchers_at_once_hold_each_recording_once(tmp_path: Path, named: list[str]) -> None:
-    place, flights = begun(tmp_path), tmp_path / "flights"
+def test_two_watchers_at_once_hold_each_recording_once(place: Path, tmp_path: Path, named: list[str]) -> None:
+    flights = tmp_path / "flights"
     watch(place, "lift-1")
     paths = [fly(tmp_path, 0.08, 50 + k) for k in range(3)]
     with ThreadPoolExecutor(2) as pool:
@@ -146,8 +155,7 @@ def test_two_watchers_at_once_hold_each_recording_once(tmp_path: Path, named: li
     assert len(names) == len(set(names))
 
 
-def test_another_plant_a_rebuilt_dataset_and_a_damaged_state_are_refused(tmp_path: Path, named: list[str]) -> None:
-    place = begun(tmp_path)
+def test_another_plant_a_rebuilt_dataset_and_a_damaged_state_are_refused(place: Path, tmp_path: Path, named: list[str]) -> None:
     watch(place, "lift-1")
     workspace = open_workspace(place)
     plant = workspace.plant(workspace.dataset("lift-1"))
@@ -179,7 +187,7 @@ def _deadband() -> Any:
 
 @pytest.mark.slow
 def test_the_command_from_names_to_the_alarm(tmp_path: Path) -> None:
-    place, flights = begun(tmp_path), tmp_path / "flights"
+    flights = tmp_path / "flights"
     words = ("--workspace", place, "fleet", "watch", "lift-1", flights, "--json", tmp_path / "watch.json", "--fail-on", "new")
     assert run(*words) == 0
     codes = []

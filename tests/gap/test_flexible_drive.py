@@ -43,6 +43,7 @@ def found(load: float, distort: Callable[[Array], Array] = lambda force: force) 
     return find_gap(Dataset.of(axis, named, dict(zip(names, ROLES, strict=True))), nominal_plant(axis))
 
 
+@pytest.mark.slow
 def test_named_with_its_values_beside_dry_friction() -> None:
     by_name = {effect.name: effect for effect in found(LOAD).effects}
     assert set(by_name) == {"flexible_drive", "coulomb_friction"}

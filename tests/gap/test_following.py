@@ -39,7 +39,7 @@ PARTS = {
 
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
-    return dataset_of(nominal(COULOMB, machine=slide()), 5.0)
+    return dataset_of(nominal(COULOMB, machine=slide()), 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -137,6 +137,7 @@ def test_a_result_that_cannot_be_stored_is_still_the_answer(whole: GapResult) ->
     assert [item.part for item in found.missing] == [STORED_RESULT]
 
 
+@pytest.mark.slow
 def test_a_fault_of_the_program_is_named_with_its_place(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sysid.gap.following.propose", lambda *_: 1 / 0)
     found = find_gap(dataset, nominal(machine=slide()), planning=Planning())

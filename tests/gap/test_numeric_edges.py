@@ -77,7 +77,7 @@ def test_a_pendulum_that_nothing_drives(rate_hz: float, seconds: float) -> None:
     assert result.missing == ()
 
 
-@pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0, 100.0])
+@pytest.mark.parametrize("rate_hz", [2.0, 10.0, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (5.0, 100.0))])
 @pytest.mark.parametrize("actuation", list(EXTRA))
 def test_every_motion_is_planned_or_left_out_at_every_rate(actuation: str, rate_hz: float) -> None:
     """At 10 Hz, ten seconds of motion are too short to determine a force."""

@@ -190,6 +190,7 @@ def test_the_name_alone_is_a_mistake_where_nothing_is(registry: Registry) -> Non
         registry.find("arm")
 
 
+@pytest.mark.slow
 def test_the_gap_falls_in_the_world_as_it_does_in_the_compiled_plant(searched: Study, proof: Proof) -> None:
     pytest.importorskip("pybullet", reason="PyBullet has no build for this Python")
     there = steps.in_world(searched, proof).world

@@ -25,31 +25,19 @@ from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
 
 
-def reads_too_much(seconds: float) -> GapResult:
-    """The cylinder's own sensor reads 0.6 % too much: at its joint that is a scale, and at its valve it looks like a gain."""
-    true = nominal(KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.006}))
-    return find_gap(dataset_of(true, seconds, seed=5), nominal())
-
-
 def holds(found: GapResult, parameter: str, truth: float) -> bool:
     """Whether the interval of the first effect holds the truth."""
     low, high = found.effects[0].interval95[parameter]
     return bool(low <= truth <= high)
 
 
-def test_a_sensor_that_reads_too_much_is_no_gain_as_well() -> None:
-    found = reads_too_much(40.0)
+def test_a_scale_of_a_sensor_is_not_counted_twice() -> None:
+    """The cylinder's sensor reads 0.6 % too much: its drive, which is read by the same sensor, has no gain error as well."""
+    true = nominal(KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.006}))
+    found = find_gap(dataset_of(true, 20.0, seed=5), nominal())
     assert [(effect.name, effect.target) for effect in found.effects] == [("sensor_scale", "boom.cylinder")]
     assert found.effects[0].parameters["scale"] == pytest.approx(1.006, abs=1e-4)
     assert holds(found, "scale", 1.006)
-    after, floor = found.stage_gap.after["boom.cylinder"], found.stage_gap.noise_floor["boom.cylinder"]
-    assert after < 1.15 * floor
-
-
-def test_a_scale_of_a_sensor_is_not_counted_twice() -> None:
-    """The cylinder's sensor has it: its drive, which is read by the same sensor, has no gain error as well."""
-    found = reads_too_much(20.0)
-    assert [(effect.name, effect.target) for effect in found.effects] == [("sensor_scale", "boom.cylinder")]
     assert found.ambiguous == ()
     for signal in ("boom.cylinder", "boom.joint"):
         assert found.stage_gap.after[signal] < 1.1 * found.stage_gap.noise_floor[signal], signal
@@ -75,7 +63,7 @@ def test_a_scale_that_its_drive_contradicts_is_not_named() -> None:
     """
     scale = KnownEffect("sensor_scale", "boom.cylinder", {"scale": 1.01})
     true = nominal(scale, KnownEffect("gain_error", "boom", {"ratio": 1.0 / 1.01}))
-    found = find_gap(dataset_of(true, 40.0, seed=5), nominal())
+    found = find_gap(dataset_of(true, 20.0, seed=5), nominal())
     assert ("gain_error", "boom") not in {(effect.name, effect.target) for effect in found.effects}
     assert ("sensor_scale", "boom.cylinder") not in {(effect.name, effect.target) for effect in found.effects}
     (miss,) = (miss for miss in found.near_misses if (miss.name, miss.target) == ("sensor_scale", "boom.cylinder"))
@@ -97,6 +85,7 @@ def test_a_small_value_that_everything_depends_on_gets_its_name() -> None:
     assert holds(found, "delay", 0.0307)
 
 
+@pytest.mark.slow
 def test_of_two_names_for_one_thing_the_simpler_one_is_taken() -> None:
     """While a slide moves, a load is a friction that differs by direction; the latter takes one number more to say so."""
     known = KnownEffect("coulomb_friction", "slide", {"force": 8.0})
@@ -115,7 +104,7 @@ def test_a_limit_that_the_held_out_recording_never_reaches_gets_its_name_from_th
     true = nominal(KnownEffect("flow_saturation", "boom", {"limit": 0.6}))
     recordings = []
     for k, role in enumerate(ROLES):
-        inputs = arm_inputs(f"run-{k + 1}", 25.0, 50 + k)
+        inputs = arm_inputs(f"run-{k + 1}", 15.0, 50 + k)
         if role == "held_out":
             table = inputs.table.copy()
             table["boom.command"] *= 0.5
@@ -140,6 +129,7 @@ def test_a_release_that_no_recording_shows_is_not_given() -> None:
     assert low <= 0.02 <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "key"),
     [
@@ -154,7 +144,7 @@ def test_seals_and_a_spool_that_stick_are_distinguished(hidden: dict[str, float 
         KnownEffect("valve_deadband", "boom", {"positive": 0.25, "negative": 0.05}),
         KnownEffect("first_order_lag", "boom", {"time_constant": 0.08}),
     ]
-    found = find_gap(dataset_of(nominal(*known, KnownEffect("stiction", "boom", hidden)), 40.0, seed=5), nominal(*known))
+    found = find_gap(dataset_of(nominal(*known, KnownEffect("stiction", "boom", hidden)), 20.0, seed=5), nominal(*known))
     (effect,) = found.effects
     assert (effect.name, effect.target) == ("stiction", "boom")
     assert set(effect.parameters) == set(hidden)

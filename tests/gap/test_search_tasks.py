@@ -63,6 +63,7 @@ def alone(dataset: Dataset, workspace: Path) -> Any:
     return content(gap_of(dataset, workspace))
 
 
+@pytest.mark.slow
 def test_the_plain_form_of_a_result_is_complete(dataset: Dataset) -> None:
     study = steps.search(steps.open_study(dataset, nominal_plant(dataset.machine)), forms="simple")
     searched = [stage for stage in study.stages if stage.found.stage_fit is not None]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -119,9 +121,11 @@ def logged(text: str, hidden: Hidden, wanted: Array, seed: int) -> Array:
     return found + np.random.default_rng(seed).normal(0.0, NOISE, found.shape)
 
 
-def dataset_of(folder: Path, hidden: Hidden) -> tuple[Machine, Dataset]:
-    text = arm_text(3, 4, limited=0.3)
-    machine = replace(drafted(folder, text), rate_hz=1.0 / DT)
+@functools.cache
+def dataset_of(case: str) -> tuple[Machine, Dataset]:
+    hidden, text = CASES[case], arm_text(3, 4, limited=0.3)
+    with tempfile.TemporaryDirectory() as folder:
+        machine = replace(drafted(Path(folder), text), rate_hz=1.0 / DT)
     runs = []
     for k in range(len(ROLES)):
         wanted = commands(3, 1500, DT, seed=k)
@@ -129,11 +133,9 @@ def dataset_of(folder: Path, hidden: Hidden) -> tuple[Machine, Dataset]:
     return machine, Dataset.of(machine, runs, {run.name: role for run, role in zip(runs, ROLES, strict=True)})
 
 
-@pytest.mark.parametrize(
-    "case", [name if name in ("nothing", "friction") else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
-)
-def test_what_an_arm_has_beyond_its_description(case: str, tmp_path: Path) -> None:
-    machine, dataset = dataset_of(tmp_path, CASES[case])
+@pytest.mark.parametrize("case", [name if name == "nothing" else pytest.param(name, marks=pytest.mark.slow) for name in CASES])
+def test_what_an_arm_has_beyond_its_description(case: str) -> None:
+    machine, dataset = dataset_of(case)
     result, wanted = find_gap(dataset, nominal_plant(machine)), CASES[case].found
     assert {(effect.name, effect.target) for effect in result.effects} == set(wanted)
     assert result.verdict == ("named" if wanted else "no_gap")
@@ -147,9 +149,9 @@ def test_what_an_arm_has_beyond_its_description(case: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("joint", ["j0", "j1"])
-def test_the_first_link_is_an_armature_where_its_weight_does_not_load_its_joint(joint: str, tmp_path: Path) -> None:
+def test_the_first_link_is_an_armature_where_its_weight_does_not_load_its_joint(joint: str) -> None:
     """j0 is vertical; the axes before j1 carry its link."""
-    _, dataset = dataset_of(tmp_path, CASES["nothing"])
+    _, dataset = dataset_of("nothing")
     study = open_study(dataset, nominal_plant(dataset.machine))
     stage = next(stage for stage in study.stages if stage.problem.target == joint)
     offered = {(c.effect.name, c.target): c.aliases for c in stage_candidates(study.case, stage)}

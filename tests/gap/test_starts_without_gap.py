@@ -14,7 +14,8 @@ from sysid.datasets.splits import split
 from sysid.gap import find_gap
 
 
-@pytest.mark.parametrize("machines", [1, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("machines", [1, 10])
 def test_there_is_no_gap_however_a_recording_begins(machines: int) -> None:
     """So many machines each: at rest, in motion, with commands on before the actuator moves, in mid-swing."""
     disagreeing, above, above_noise = {}, [], []

@@ -58,6 +58,7 @@ def test_the_sentence_states_the_largest_error_and_what_runs_away_comes_first(ag
     assert ("With the repair, " in text) == (named and bool(beyond) and not away)
 
 
+@pytest.mark.slow
 def test_a_disturbance_that_no_effect_explains_is_unnamed() -> None:
     """Two percent of the speed, at random: no effect is missing, and the free run is far off all the same."""
     found = wandering(0.02)

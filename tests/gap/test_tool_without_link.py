@@ -64,7 +64,8 @@ def test_the_tool_stage_is_there_where_tip_and_tool_are_measured() -> None:
     assert "tool" not in [problem.stage for problem in problems_of(model, replace(dataset, recordings=parts))]
 
 
-@pytest.mark.parametrize("length", [0.02, *(pytest.param(length, marks=pytest.mark.slow) for length in (0.25, 0.1))])
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [0.02, 0.25, 0.1])
 def test_a_sway_is_found_and_the_repaired_plant_swings(length: float) -> None:
     result = find_gap(swaying(length), bare())
     assert result.verdict == "named"

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
+import shutil
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +21,20 @@ from sysid.workspace import Workspace, open_workspace
 
 
 def sample_workspace(folder: Path) -> Workspace:
+    """A copy of :func:`_made`, which takes a while."""
+    shutil.copytree(_made(), folder, dirs_exist_ok=True)
+    return open_workspace(folder)
+
+
+@functools.cache
+def _made() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="sysid-sample-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    _make(folder)
+    return folder
+
+
+def _make(folder: Path) -> None:
     """``autolog@1`` with a gap result that created plant ``autolog@2``, the champion; ``autolog@2`` split from it."""
     place = open_workspace(folder)
     channels = small_dataset(1)[1]
@@ -39,4 +57,3 @@ def sample_workspace(folder: Path) -> Workspace:
     broken = place.results(own).with_name("autolog@2") / "gap"
     broken.mkdir(parents=True)
     (broken / "result.json").write_text('{"plant": {"before": "autolog@1"')
-    return place

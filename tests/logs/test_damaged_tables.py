@@ -17,6 +17,8 @@ from sysid.errors import InputError
 from sysid.logs import ReadOptions, reader_for, reader_named
 from sysid.logs.inspection import inspect_file
 
+READS_IN_PROCESSES = False
+
 
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:

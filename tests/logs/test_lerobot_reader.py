@@ -175,7 +175,7 @@ def test_a_dataset_needs_a_recipe_that_can_be_drafted(tmp_path: Path, capsys: py
     assert text.count("action[elbow_flex.pos]") == 1, "an entry is for all episodes"
 
 
-@pytest.mark.parametrize(("version", "files"), [("v2.1", 12), ("v3.0", 2), ("v3.0", 1)])
+@pytest.mark.parametrize(("version", "files"), [("v2.1", 12), ("v3.0", 2)])
 def test_the_draft_has_one_entry_for_all_episodes(tmp_path: Path, version: str, files: int) -> None:
     """Version 2 has a file an episode, version 3 several episodes a file."""
     folder = write_lerobot(tmp_path / "wave", episodes(12), MOTORS, files, version)

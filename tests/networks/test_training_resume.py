@@ -119,7 +119,7 @@ def test_a_killed_process_is_resumed_to_the_same_bits(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*"))
 
 
-@pytest.mark.parametrize("change", [{"learning_rate": 2e-3}, {"batch": 8}, {"epochs": 31}, {"schedule": "constant"}])
+@pytest.mark.parametrize("change", [{"learning_rate": 2e-3}, {"batch": 8}])
 def test_other_settings_do_not_find_it(tmp_path: Path, change: dict[str, object]) -> None:
     interrupted(tmp_path, KeyboardInterrupt())
     other = replace(SETTINGS, **change)  # type: ignore[arg-type]

@@ -106,6 +106,7 @@ def test_the_forward_model_is_the_plants_kinematics(site: Any) -> None:
     np.testing.assert_allclose(forward_of(plant).predict(joints), chain_of_plant(plant).predict(joints), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_runs_on_the_bench_repeat_and_are_recordings(loop: Any, site: Any, tmp_path: Path) -> None:
     from loop.flight import SIGNALS, fly
     from loop.recording import ingest_flights

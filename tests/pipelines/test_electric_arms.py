@@ -147,6 +147,7 @@ def test_a_servo_is_behind_its_setpoint_by_load_times_compliance(arms: dict[str,
     assert np.allclose(wanted[-1] - q[-1], compliance * data.qfrc_bias, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_servo_arm_with_nothing_hidden_moves_as_its_description(arms: dict[str, ModuleType], tmp_path: Path) -> None:
     for seed in (3, 6):
         case = arms["servo_arm"].make(seed, hides=False)

@@ -108,13 +108,15 @@ def test_limit_is_one_floor_further_off(foreign: dict[str, ModuleType]) -> None:
 # ---- Simulators ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(
+    "family", [pytest.param(f, marks=() if f in ("mujoco_crane", "bullet_lever") else pytest.mark.slow) for f in FAMILIES]
+)
 def test_logs_are_read(foreign: dict[str, ModuleType], family: str, tmp_path: Path) -> None:
     """Every machine simulates; its logs and description become a dataset, recordings that begin in motion among them."""
     needs(family)
     tables = foreign["machines"].known_tables(family, 1)
     takes = [
-        foreign["excitation"].Take(f"take-{k + 1}", 5 + k, 12.0, program, lead, (0.2, 0.1))
+        foreign["excitation"].Take(f"take-{k + 1}", 5 + k, 8.0, program, lead, (0.2, 0.1))
         for k, (program, lead) in enumerate((("operator", 0.0), ("steps", 2.0), ("fourier", 3.0)))
     ]
     foreign["record"].write_logs(tables, takes, 1.0, 3, tmp_path / "logs")
@@ -139,8 +141,8 @@ def test_logs_are_read(foreign: dict[str, ModuleType], family: str, tmp_path: Pa
 @pytest.mark.parametrize(
     ("family", "variant"),
     [
-        ("mujoco_crane", 3),
         ("mujoco_arm", 0),
+        pytest.param("mujoco_crane", 3, marks=pytest.mark.slow),
         pytest.param("mujoco_crane", 0, marks=pytest.mark.slow),
         pytest.param("bullet_arm", 1, marks=pytest.mark.slow),
     ],
@@ -160,7 +162,7 @@ def test_with_nothing_hidden_the_owners_plant_is_right(foreign: dict[str, Module
             assert math.hypot(1.0, off / noise[signal]) < CLOSE, signal
 
 
-@pytest.mark.parametrize("family", ["mujoco_slide", "bullet_lever"])
+@pytest.mark.parametrize("family", [pytest.param("mujoco_slide", marks=pytest.mark.slow), "bullet_lever"])
 def test_with_nothing_hidden_the_force_is_right(foreign: dict[str, ModuleType], family: str) -> None:
     """And what it says of the force at measured motion."""
     needs(family)

@@ -29,6 +29,7 @@ def task() -> TrackingTask:
     return plan_tracking(PLANT, Perfect(PLANT), "circle", full=True, centre=(0.85, 0.0, 0.3))
 
 
+@pytest.mark.slow
 def test_a_shaper_helps_on_a_path_and_every_controller_rests_at_its_end(study: ModuleType, task: TrackingTask) -> None:
     rows = {each.name: study.sway.path_rows(task, each, task.path, 1.0)[0] for each in study.sway.on_paths(task)}
     assert all(row["settling_s"] is not None for row in rows.values())
@@ -38,6 +39,7 @@ def test_a_shaper_helps_on_a_path_and_every_controller_rests_at_its_end(study: M
     assert max(rows["ik-lookahead, inverse pendulum"]["rmse_mm"]) < max(plain["rmse_mm"])
 
 
+@pytest.mark.slow
 def test_moves_of_a_machine_whose_pendulum_is_another_one(study: ModuleType, task: TrackingTask) -> None:
     each = study.sway.moves(task, 1)
     controllers = study.sway.at_targets(task)[1:4]
@@ -54,6 +56,7 @@ def test_feedback_damps_a_swing_that_exists(study: ModuleType, task: TrackingTas
         assert damped["settling_s"] < 0.7 * plain["settling_s"]
 
 
+@pytest.mark.slow
 def test_under_a_shared_pump_the_goal_of_least_time_is_reached_first(study: ModuleType, task: TrackingTask) -> None:
     shared = study.pump.with_pump(task)
     limit = shared.plant.effect("pump_flow_limit", "machine").parameters["limit"]
@@ -66,6 +69,7 @@ def test_under_a_shared_pump_the_goal_of_least_time_is_reached_first(study: Modu
     assert all(row["margin"] >= 0.0 for row in rows)
 
 
+@pytest.mark.slow
 def test_gradient_projection_keeps_away_from_the_limits(study: ModuleType, task: TrackingTask) -> None:
     circles = study.redundancy.circles(task, 3)
     assert len(circles) == 3

@@ -34,6 +34,7 @@ def test_intervals_hold_as_often_as_they_say_on_poses_like_those_learned_from(co
         assert np.mean([run["beyond"]["flagged"] for run in runs]) > 0.99
 
 
+@pytest.mark.slow
 def test_one_model_is_judged_again(counted: tuple[ModuleType, dict]) -> None:  # type: ignore[type-arg]
     """Where the data are depends on the poses alone: the same are flagged again."""
     from sysid.machine import load_machine

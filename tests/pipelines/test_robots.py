@@ -237,6 +237,7 @@ def test_an_error_of_the_program_is_not_one_of_the_file(robots: SimpleNamespace)
     assert robots.reading.internal(replace(done, text="sysid: a.urdf: cannot be read (ParseError: line 3); expected")) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm.urdf", "servo.xml"])
 def test_a_machine_is_compared_with_an_independent_reader(
     robots: SimpleNamespace, made: Callable[..., Any], tmp_path: Path, name: str
@@ -267,6 +268,7 @@ def test_what_a_model_has_beyond_the_machine_needs_a_note(
     assert robots.peers.unnoted(found["differs"], ["spring of shoulder"]) == found["differs"][:1]
 
 
+@pytest.mark.slow
 def test_the_nominal_log_stays_within_the_limits(robots: SimpleNamespace, made: Callable[..., Any], tmp_path: Path) -> None:
     robot = made(SERVO.format(spring=0, mass=1), "servo.xml")
     assert robots.reading.read(robot, tmp_path / "work")["read"]

@@ -248,6 +248,7 @@ def test_it_learns() -> None:
     assert found.episodes[-1]["return"] > found.episodes[0]["return"]
 
 
+@pytest.mark.slow
 def test_a_seed_decides_everything_and_another_one_too() -> None:
     one, same, other = (trained(recipe(seed=seed)).state() for seed in (3, 3, 4))
     for key in SEEN:

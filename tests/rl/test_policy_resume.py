@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,21 +23,29 @@ from sysid_rl.train.recipe import TrainingRecipe
 from sysid_rl.train.replay import Replay
 
 
-def run(
-    folder: Path | None, settings: TrainingRecipe, every: float = 0.0, until: int | None = None, pause: float = 0.0
-) -> Trainer:
-    """Train, from what ``folder`` holds, to the end or for ``until`` steps; checkpoints every ``every`` seconds."""
+def short(**parts: Any) -> TrainingRecipe:
+    """105 steps of four copies, in which the buffer comes round."""
+    return recipe(**{"learning": {"episodes": 28}, **parts})
+
+
+def run(folder: Path | None, settings: TrainingRecipe, until: int | None = None, always: bool = False) -> Trainer:
+    """Train, from what ``folder`` holds, to the end or for ``until`` steps; saved then, or ``always``: after each step."""
     each = trainer(settings)
-    files = TrainingFiles(folder, every) if folder is not None else None
+    files = TrainingFiles(folder, 0.0) if folder is not None else None
     if files is not None:
         files.load(each)
     for step_count in each.train():
-        if files is not None and files.is_due:
+        if files is not None and (always or step_count == until):
             files.save(each)
-        time.sleep(pause)
         if step_count == until:
             break
     return each
+
+
+@pytest.fixture(scope="module")
+def whole() -> Trainer:
+    """The training of :func:`short` without an interruption."""
+    return run(None, short())
 
 
 def assert_equal(one: Trainer, other: Trainer) -> None:
@@ -51,33 +60,31 @@ def _short_segments(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay_module, "SEGMENT", 64)
 
 
-def test_going_on_anywhere_gives_the_same_bits(tmp_path: Path) -> None:
+def test_going_on_anywhere_gives_the_same_bits(tmp_path: Path, whole: Trainer) -> None:
     """Also in the middle of an episode, before the first update, and after the buffer has come round."""
-    settings = recipe()
-    whole = run(None, settings)
-    for until in (3, 22, 121, 200):
-        assert run(tmp_path, settings, until=until).step_count == until
-    assert_equal(run(tmp_path, settings), whole)
-    assert whole.replay.count == 900 > whole.replay.capacity
+    for until in (3, 22, 61, 90):
+        assert run(tmp_path, short(), until=until).step_count == until
+    assert_equal(run(tmp_path, short()), whole)
+    assert whole.replay.count == 420 > whole.replay.capacity
 
 
 def test_a_curriculum_goes_on_where_it_was(tmp_path: Path) -> None:
-    settings = recipe(setting={"curriculum": 0.7})
-    assert run(tmp_path, settings, until=121).step_count == 121
+    settings = short(setting={"curriculum": 0.7})
+    assert run(tmp_path, settings, until=61).step_count == 61
     assert_equal(run(tmp_path, settings), run(None, settings))
 
 
-def test_saving_changes_nothing(tmp_path: Path) -> None:
-    assert_equal(run(tmp_path, recipe()), run(None, recipe()))
+def test_saving_changes_nothing(tmp_path: Path, whole: Trainer) -> None:
+    assert_equal(run(tmp_path, short(), always=True), whole)
 
 
-def test_a_killed_process_is_resumed_to_the_same_bits(tmp_path: Path) -> None:
+def test_a_killed_process_is_resumed_to_the_same_bits(tmp_path: Path, whole: Trainer) -> None:
     """It writes at every step, so that the kill falls anywhere, also within a write; twice, at different places."""
-    settings = recipe()
-    for least in (20, 90):
+    settings = short()
+    for least in (10, 45):
         child = os.fork()
         if child == 0:  # pragma: no cover  (another process)
-            run(tmp_path, settings, pause=0.002)
+            run(tmp_path, settings, always=True)
             os._exit(0)
         until = time.monotonic() + 60.0
         while time.monotonic() < until and _rows(tmp_path) < 4 * least * 4:
@@ -88,8 +95,8 @@ def test_a_killed_process_is_resumed_to_the_same_bits(tmp_path: Path) -> None:
         assert (tmp_path / STATE).exists()
     begun = trainer(settings)
     TrainingFiles(tmp_path).load(begun)
-    assert 80 <= begun.step_count < begun.recipe.total_steps
-    assert_equal(run(tmp_path, settings), run(None, settings))
+    assert 40 <= begun.step_count < begun.recipe.total_steps
+    assert_equal(run(tmp_path, settings), whole)
 
 
 def _rows(folder: Path) -> int:
@@ -98,8 +105,10 @@ def _rows(folder: Path) -> int:
     return (max(numbers) * 64 * 4 + (folder / f"replay-{max(numbers):06d}.f32").stat().st_size // 25) if numbers else 0
 
 
-def test_a_full_disk_stops_it_and_the_checkpoint_before_stays_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = recipe()
+def test_a_full_disk_stops_it_and_the_checkpoint_before_stays_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Trainer
+) -> None:
+    settings = short()
     run(tmp_path, settings, until=40)
     before = (tmp_path / STATE).read_bytes()
 
@@ -112,21 +121,21 @@ def test_a_full_disk_stops_it_and_the_checkpoint_before_stays_whole(tmp_path: Pa
             if what == "checkpoint":
                 patch.setattr(Replay, "save", lambda self, folder: None)
             with pytest.raises(StorageError, match=rf"{what} .*No space left on device; expected room for \d+ .*Make room"):
-                run(tmp_path, settings)
+                run(tmp_path, settings, always=True)
         assert (tmp_path / STATE).read_bytes() == before
         assert not list(tmp_path.glob("*.part"))
-    assert_equal(run(tmp_path, settings), run(None, settings))
+    assert_equal(run(tmp_path, settings), whole)
 
 
-def test_no_number_is_never_saved(tmp_path: Path) -> None:
-    settings = recipe()
+def test_no_number_is_never_saved(tmp_path: Path, whole: Trainer) -> None:
+    settings = short()
     each = run(tmp_path, settings, until=40)
     before = (tmp_path / STATE).read_bytes()
     each.agent.models["actor"].parameters.flat[0] = float("inf")
     with pytest.raises(SettingsError, match="NaN or infinity"):
         TrainingFiles(tmp_path).save(each)
     assert (tmp_path / STATE).read_bytes() == before
-    assert_equal(run(tmp_path, settings), run(None, settings))
+    assert_equal(run(tmp_path, settings), whole)
 
 
 @pytest.mark.parametrize("content", [b"", b"foreign", None])
@@ -146,19 +155,20 @@ def test_rows_that_are_missing_are_named(tmp_path: Path) -> None:
 
 
 def test_old_segments_go_and_those_in_use_stay(tmp_path: Path) -> None:
-    each = run(tmp_path, recipe())
+    run(tmp_path, short(), until=50)
+    each = run(tmp_path, short(), until=105)
     first = (each.replay.count - each.replay.capacity) // 64
     names = sorted(path.name for path in tmp_path.glob("replay-*.f32"))
     assert names == [f"replay-{number:06d}.f32" for number in range(first, -(-each.replay.count // 64))]
 
 
-def test_newer_rows_leave_those_of_the_last_checkpoint_alone(tmp_path: Path) -> None:
+def test_newer_rows_leave_those_of_the_last_checkpoint_alone(tmp_path: Path, whole: Trainer) -> None:
     """A process may die after it wrote rows and before it wrote the checkpoint that counts them."""
-    settings = recipe()
-    each = run(tmp_path, settings, until=150)
-    steps(each, 60)
+    settings = short()
+    each = run(tmp_path, settings, until=60)
+    steps(each, 30)
     each.replay.save(tmp_path)
-    assert_equal(run(tmp_path, settings), run(None, settings))
+    assert_equal(run(tmp_path, settings), whole)
 
 
 def test_the_buffer_keeps_the_newest() -> None:

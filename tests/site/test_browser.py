@@ -177,6 +177,7 @@ def test_the_replay_moves_stops_and_turns(site: Path, page: Page) -> None:
     assert "tool before" in label.inner_text()
 
 
+@pytest.mark.slow
 def test_a_reader_who_wants_no_motion_gets_a_still_picture(browser: Browser, site: Path) -> None:
     context = browser.new_context(reduced_motion="reduce")
     page = context.new_page()
@@ -196,7 +197,7 @@ CUT = """() => [...document.querySelectorAll("figure, svg.chart, svg.machine, .d
   .map((e) => e.outerHTML.slice(0, 120))"""
 
 
-@pytest.mark.parametrize("width", [360, 390])
+@pytest.mark.parametrize("width", [360, pytest.param(390, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("path", PAGES)
 def test_no_page_and_no_figure_is_wider_than_a_phone(browser: Browser, site: Path, path: str, width: int) -> None:
     context = browser.new_context(viewport={"width": width, "height": 800})
@@ -208,7 +209,7 @@ def test_no_page_and_no_figure_is_wider_than_a_phone(browser: Browser, site: Pat
     assert cut == []
 
 
-@pytest.mark.parametrize(("width", "height"), [(1400, 900), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), [pytest.param(1400, 900, marks=pytest.mark.slow), (390, 844)])
 def test_the_first_screen_says_what_was_wrong_by_how_much_and_what_next(
     browser: Browser, site: Path, width: int, height: int
 ) -> None:
@@ -222,6 +223,7 @@ def test_the_first_screen_says_what_was_wrong_by_how_much_and_what_next(
     assert all(box is not None and box["y"] + box["height"] <= height for box in ends.values())
 
 
+@pytest.mark.slow
 def test_paper_has_what_is_unfolded_with_its_colours(browser: Browser, site: Path) -> None:
     context = browser.new_context()
     page = context.new_page()
@@ -235,6 +237,7 @@ def test_paper_has_what_is_unfolded_with_its_colours(browser: Browser, site: Pat
     assert 0 < len(pages) <= 10
 
 
+@pytest.mark.slow
 def test_figures_that_were_never_in_view_are_printed(browser: Browser, site: Path) -> None:
     context = browser.new_context()
     page = context.new_page()

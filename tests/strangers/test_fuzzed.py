@@ -19,7 +19,7 @@ TOKENS = (
 )  # fmt: skip
 #: Inputs of each target; a workspace takes ten times as long as a text, and whole verbs a thousand times.
 COUNT = {
-    "workspace": 20, "machine": 120, "urdf": 120, "recipe": 80, "mjcf": 30,
+    "workspace": 20, "machine": 60, "urdf": 60, "recipe": 40, "mjcf": 15,
     "edges": 1, "current-folder": 1, "gap-result": 3, "arrivals": 12, "export-names": 30,
 }  # fmt: skip
 
@@ -47,11 +47,16 @@ def damaged(seed: bytes, rng: random.Random) -> bytes:
     return bytes(content)
 
 
-@pytest.mark.parametrize("name", TARGETS)
+#: Whole verbs; the fast tier has strangers/test_edge_machines.py, test_current_folder.py, export/test_export_names.py,
+#: fleet/test_watch_arrivals.py and reports/test_archive.py.
+WHOLE = ("edges", "current-folder", "gap-result", "arrivals", "export-names")
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in WHOLE else ()) for name in TARGETS])
 def test_damaged_inputs_raise_nothing_but_our_errors(name: str) -> None:
     target, rng = TARGETS[name], random.Random(name)
     seeds = target.seeds()
-    count = COUNT.get(name, 300)
+    count = COUNT.get(name, 150)
     for seed in seeds[:count]:
         target.run(seed)
     for number in range(count):

@@ -47,7 +47,7 @@ MODELS: dict[str, Model] = {
 }
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MODELS)
 def test_parity(name: str, precision: str, tmp_path: Path) -> None:
     model = MODELS[name]

@@ -246,9 +246,7 @@ NATIVE = {
 }
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(name, marks=() if name != "delayed already" else pytest.mark.slow) for name in NATIVE]
-)
+@pytest.mark.parametrize("case", [pytest.param(name, marks=() if name == "speed" else pytest.mark.slow) for name in NATIVE])
 def test_native_effects_are_fitted_inside_the_model(case: str, tmp_path: Path) -> None:
     """Errors inside the machine. A search on commands held over samples of 20 ms is a little off; the file is not."""
     name, *errors = NATIVE[case]

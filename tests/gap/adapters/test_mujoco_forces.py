@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from dataclasses import replace
@@ -66,6 +67,7 @@ def tracked(model: mujoco.MjModel, seed: int, seconds: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names).assign(time=time)
 
 
+@functools.cache
 def recorded(seconds: float, **friction: float) -> Dataset:
     """Recordings of the arm with another damping of the shoulder and friction loss of the elbow.
 
@@ -311,6 +313,7 @@ def test_a_free_run_that_diverges_is_an_error(tmp_path: Path, monkeypatch: pytes
         simulator.simulate(dataset.recordings[0])
 
 
+@functools.cache
 def swung(seconds: float) -> Dataset:
     """Recordings of noise-free torques on an arm with ``RIGHT``, which starts in motion."""
     spec = mujoco.MjSpec.from_file(str(robot("torque_arm")))
@@ -355,6 +358,7 @@ def test_values_are_fitted_once_more_to_the_free_run(tmp_path: Path) -> None:
     assert float(end) == pytest.approx(1.0, abs=0.1), "the noise of the sensors alone"
 
 
+@pytest.mark.slow
 def test_values_that_are_fitted_stay_within_their_intervals(tmp_path: Path) -> None:
     dataset = swung(4.0)
     plant = open_force_model(robot("torque_arm"), dataset)

@@ -91,10 +91,11 @@ def lift_data(at_input: Any = identity, at_output: Any = identity, seconds: floa
     return Dataset.of(machine_from_files({"machine.toml": LIFT}, "lift"), recordings, splits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dataset", "name", "parameters"),
     [
-        pytest.param(lambda: lift_data(at_input=late), "input_delay", {"delay": 0.12}, marks=pytest.mark.slow),
+        (lambda: lift_data(at_input=late), "input_delay", {"delay": 0.12}),
         (lambda: lift_data(at_output=play), "backlash", {"width": 0.02}),
     ],
 )
@@ -203,14 +204,13 @@ INSIDE = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "parameter"),
     [
-        pytest.param(
-            KnownEffect("valve_deadband", "boom", {"positive": 0.08, "negative": 0.05}), "positive", marks=pytest.mark.slow
-        ),
-        pytest.param(KnownEffect("backlash", "boom", {"width": 0.012}, "drive"), "width", marks=pytest.mark.slow),
-        pytest.param(KnownEffect("joint_offset", "boom", {"offset": 0.01}), "offset", marks=pytest.mark.slow),
+        (KnownEffect("valve_deadband", "boom", {"positive": 0.08, "negative": 0.05}), "positive"),
+        (KnownEffect("backlash", "boom", {"width": 0.012}, "drive"), "width"),
+        (KnownEffect("joint_offset", "boom", {"offset": 0.01}), "offset"),
         (None, ""),
     ],
     ids=["input effect", "after a cylinder", "after the joints", "nothing"],

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from plant_data import KnownEffect, nominal, slide
@@ -13,7 +14,7 @@ from weak_excitation import coarse_arm, slow_dataset, tie, with_experiments
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
-from sysid.gap.experiment import Planning, dry_run, outside, propose
+from sysid.gap.experiment import Experiment, OpenHypothesis, Planning, dry_run, outside, propose
 from sysid.gap.experiment.excitation_signal import simulate_recording
 from sysid.gap.experiment.motions import MOTIONS, MotionPattern
 from sysid.gap.experiment.proposal import Planner
@@ -75,11 +76,18 @@ def test_stribeck_friction_is_excited_at_low_speeds() -> None:
     assert "slide.joint" in experiment.commands, "a force axis follows_path a path"
 
 
-def test_text_for_delay_and_lag_that_are_not_identifiable() -> None:
+@cache
+def delay_or_lag() -> tuple[Case, Plant, OpenHypothesis, Experiment]:
+    """A lag that the recordings do not separate from a delay, and the recording that is proposed."""
     plant = nominal()
     truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
     case, repaired, hypothesis = tie(slow_dataset(truth, 8.0), plant, "command", "boom", "input_delay", "first_order_lag")
     (experiment,) = propose(case, repaired, [hypothesis]).experiments
+    return case, repaired, hypothesis, experiment
+
+
+def test_text_for_delay_and_lag_that_are_not_identifiable() -> None:
+    *_, experiment = delay_or_lag()
     (purpose,) = experiment.purposes
     expected = f"expected log-likelihood ratio {purpose.nats:.0f} nats, 20 required."
     assert purpose.text == f"input_delay on boom and first_order_lag on boom: {expected}"
@@ -103,10 +111,7 @@ def test_a_hypothesis_needs_several_recordings_or_gets_no_proposal() -> None:
 
 
 def test_a_fence_is_respected_and_recorded() -> None:
-    plant = nominal()
-    truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
-    case, repaired, hypothesis = tie(slow_dataset(truth, 8.0), plant, "command", "boom", "input_delay", "first_order_lag")
-    (free,) = propose(case, repaired, [hypothesis]).experiments
+    case, repaired, hypothesis, free = delay_or_lag()
     low, high = free.predicted["ee.z"]
     fence = {"ee.z": (low - 1.0, 0.5 * (low + high))}
     planned = propose(case, repaired, [hypothesis], Planning(fence=fence)).experiments
@@ -149,7 +154,7 @@ def plant_of(axis: str, valve: dict[str, object]) -> Plant:
     )
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(120))
 @given(
     axis=st.integers(0, 1),
     valve=VALVES,
@@ -183,7 +188,7 @@ def test_no_motion_leaves_the_limits(
             assert command[-1] == 0.0
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(64))
 @given(valve=VALVES, motion=st.sampled_from([m for m in MOTIONS if not m.several]))
 def test_motions_of_valves_return_to_their_start(valve: dict[str, object], motion: MotionPattern) -> None:
     """Excluded: dead-bands that differ by 0.1 or more. Small strokes then move one way only, and the end is up to 13 % off."""
@@ -202,10 +207,7 @@ def test_motions_of_valves_return_to_their_start(valve: dict[str, object], motio
 
 
 def test_a_dry_run_starts_at_the_specified_position() -> None:
-    plant = nominal()
-    truth = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))
-    case, repaired, hypothesis = tie(slow_dataset(truth, 8.0), plant, "command", "boom", "input_delay", "first_order_lag")
-    (experiment,) = propose(case, repaired, [hypothesis]).experiments
+    _, repaired, _, experiment = delay_or_lag()
     run = dry_run(repaired, experiment)
     assert run.values("boom.cylinder")[0] == pytest.approx(experiment.start["boom.cylinder"], abs=1e-9)
     assert run.values("boom.joint")[0] == pytest.approx(experiment.start["boom.joint"], abs=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from sysid.plant import Plant
 NOISE = 6e-4
 
 
+@functools.cache
 def planned() -> tuple[Plant, OpenHypothesis, Experiment]:
     plant = nominal(machine=coarse_arm(NOISE))
     lag = plant.with_effect(KnownEffect("first_order_lag", "boom", {"time_constant": 0.1}))

@@ -57,7 +57,7 @@ def test_the_point_is_where_the_urdf_states_it_unless_the_description_leaves_it_
         assert ("tip_offset" in candidates) is marker
 
 
-@pytest.mark.parametrize("marker", [False, True])
+@pytest.mark.parametrize("marker", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_poses_that_scatter_by_far_more_than_their_noise_name_nothing_but_the_measurement(marker: bool) -> None:
     """Poses that belong to other rows, a marker that slipped: an error of the arm that explains a tenth of it is a guess."""
     result = found(replace(ELSEWHERE, offset={1: 0.002}), noise=20.0 * NOISE, marker=marker)

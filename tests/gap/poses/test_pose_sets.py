@@ -92,6 +92,7 @@ def test_geometry_alone_is_not_called_compliance() -> None:
     assert names(result) == {("joint_offset", "j2"), ("link_length_error", "j3")}
 
 
+@pytest.mark.slow
 def test_a_tilted_axis_that_no_effect_describes_gets_no_wrong_name() -> None:
     """Small errors of every axis, as of any arm that was assembled."""
     draw = np.random.default_rng(6)

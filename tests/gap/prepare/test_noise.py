@@ -141,7 +141,12 @@ def recorded(shared_data: Path, folder: Path, name: str) -> Dataset:
 
 
 @pytest.mark.parametrize(
-    ("name", "steps"), [("emps", {}), ("rc_excavator", {}), ("so101", {"elbow.joint": 2.0 * np.pi / 4096})]
+    ("name", "steps"),
+    [
+        pytest.param("emps", {}, marks=pytest.mark.slow),
+        pytest.param("rc_excavator", {}, marks=pytest.mark.slow),
+        ("so101", {"elbow.joint": 2.0 * np.pi / 4096}),
+    ],
 )
 def test_recordings_of_real_machines(name: str, steps: dict[str, float], shared_data: Path, tmp_path: Path) -> None:
     """Noise is a small share of every range; a servo of 4096 counts a turn reads in those, the others in no steps that show."""

@@ -8,6 +8,8 @@ from sagging_servo import Servos, servo_dataset
 from sysid.gap import GapResult, find_gap
 from sysid.plant import nominal_plant
 
+pytestmark = pytest.mark.slow
+
 SAG = {"shoulder": 0.09, "elbow": 0.12}  # up to 3.3° and 0.8°
 
 
@@ -57,7 +59,6 @@ def test_the_repaired_simulation_contains_the_error_at_rest(without_masses: GapR
     assert {(e.name, e.target) for e in without_masses.written if e.kind == "tied"} >= {("sensor_bias", "shoulder.joint")}
 
 
-@pytest.mark.slow
 def test_with_masses_the_compliance_is_named() -> None:
     result = gap_of(Servos(SAG), True)
     assert of_sensors(result) == set()
@@ -66,7 +67,6 @@ def test_with_masses_the_compliance_is_named() -> None:
     assert result.ambiguous == ()
 
 
-@pytest.mark.slow
 def test_with_masses_a_bias_of_the_sensor_is_named() -> None:
     bias = {"yaw": 0.02, "shoulder": -0.03}
     result = gap_of(Servos(bias=bias), True)
@@ -76,7 +76,6 @@ def test_with_masses_a_bias_of_the_sensor_is_named() -> None:
     assert "joint_compliance" not in {name for name, _ in names(result)}
 
 
-@pytest.mark.slow
 def test_on_a_vertical_axis_a_bias_needs_no_masses() -> None:
     result = gap_of(Servos(SAG, {"yaw": 0.02}), False)
     assert ("sensor_bias", "yaw.joint") in names(result)

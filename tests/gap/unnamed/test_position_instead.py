@@ -23,8 +23,10 @@ def slower(v: float, x: float, load: float, t: float, dice: float) -> float:
     return -0.08 * v
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("rate", "named"), [pytest.param(uneven, False, id="an uneven gear"), pytest.param(slower, True, id="a gain error")]
+    ("rate", "named"),
+    [pytest.param(uneven, False, id="an uneven gear"), pytest.param(slower, True, id="a gain error")],
 )
 def test_a_gear_that_is_uneven_over_the_stroke_is_no_gain_error(rate: Rate, named: bool) -> None:
     found = find_gap(disturbed_dataset(rate), BASE)

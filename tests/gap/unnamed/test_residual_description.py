@@ -73,7 +73,7 @@ def test_a_periodic_disturbance_has_one_period_and_a_phase_per_recording() -> No
 
 
 @pytest.mark.parametrize("rate", [nothing, white, swelling])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_a_random_disturbance_depends_on_nothing(rate: Rate, seed: int) -> None:
     """White in speed is a random walk in position."""
     found = described(DRIVE, recordings(rate, seed))

@@ -47,7 +47,8 @@ def modelled(rate: Rate, period: float = 0.0) -> ProofOutcome:
     return fit_residual_models(study.case, study.stages, ProofOutcome(BASE, unnamed=[unnamed(period=period)]), QUICK)
 
 
-@pytest.mark.parametrize(("rate", "period"), [(heavy, 0.0), pytest.param(ripple, 0.03, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate", "period"), [(heavy, 0.0), (ripple, 0.03)])
 def test_held_out_errors_fall(rate: Rate, period: float) -> None:
     outcome = modelled(rate, period)
     (item,) = outcome.carried
@@ -98,6 +99,7 @@ def test_the_same_seed_gives_the_same_network() -> None:
     assert again.repaired.to_files() == modelled(ripple, 0.03).repaired.to_files()
 
 
+@pytest.mark.slow
 def test_a_random_disturbance_gets_no_residual_model() -> None:
     (item,) = modelled(white).carried
     assert not item.accepted
