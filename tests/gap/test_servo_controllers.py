@@ -175,8 +175,8 @@ def test_friction_is_damping_where_no_force_is_limited(limit: float, tmp_path: P
     assert bool(single) is bool(limit)
 
 
-def test_each_axis_moves_as_it_was_measured_before_it_is_searched(tmp_path: Path) -> None:
-    machine, dataset = dataset_of(tmp_path, CASES["three"])
+def test_each_axis_moves_as_it_was_measured_before_it_is_searched() -> None:
+    machine, dataset = dataset_of("three")
     study = open_study(dataset, nominal_plant(machine))
     case, stages = study.case, study.stages
     before = [servo_arm._error(stage) for stage in stages]
