@@ -19,7 +19,6 @@ from sysid.export.mjcf_bodies import add_bodies, add_tool, heavier_drive, model_
 from sysid.export.mjcf_drives import Elements, add_drive, drive_entry
 from sysid.export.mjcf_servo import MujocoServos, has_servos, write_servos
 from sysid.export.names import MachineNames
-from sysid.export.standalone import mujoco_robot
 from sysid.export.target import ForceSimulation, Simulation, Start, Support
 from sysid.export.urdf import NOTE
 from sysid.machine.rigid_body import moves_masses
@@ -105,6 +104,8 @@ class MjcfTarget:
         return Support("plugin", f"`{MODULE}`, whose output the actuator takes or follows")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
+        from sysid.export.standalone import mujoco_robot
+
         if moves_masses(plant.machine):
             return write_arm(plant, rate_hz, folder)
         if has_servos(plant):

@@ -21,7 +21,6 @@ from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
 from sysid.export.drive_module import load_module, with_classes
 from sysid.export.mjcf_bodies import PAYLOAD, TINY_INERTIA, add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
-from sysid.export.standalone import mujoco_arm
 from sysid.export.standalone.parts import SensorReading, axis_parameters
 from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.names import listed
@@ -46,6 +45,8 @@ def write_arm(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         SettingsError: axes that are not driven by forces at their joints, effects that the model cannot have, or inertial
             parameters that are not those of a mass distribution.
     """
+    from sysid.export.standalone import mujoco_arm
+
     _check(plant)
     found = arm_inertia(plant)
     spec, about = _spec_of(plant, found, rate_hz)

@@ -20,7 +20,6 @@ from sysid.export.drive_data import effect_slots, sensor_readings
 from sysid.export.drive_module import load_module, with_classes
 from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
 from sysid.export.mjcf_drives import dry_friction, limit
-from sysid.export.standalone import mujoco_servos
 from sysid.export.standalone.parts import SensorReading
 from sysid.export.target import Start
 from sysid.export.urdf import LinkInertias
@@ -67,6 +66,8 @@ def write_servos(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
     Raises:
         SettingsError: effects that the model cannot have.
     """
+    from sysid.export.standalone import mujoco_servos
+
     _check(plant)
     spec, about = _spec_of(plant, rate_hz)
     (folder / FILE).write_text(mjcf_text(spec), "utf-8")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -40,3 +43,35 @@ def test_versions_of_missing_packages_are_stated() -> None:
     assert found["numpy"][0].isdigit()
     assert not installed("a_package_that_nobody_has")
     assert all(name.isidentifier() for name in EXTRAS)
+
+
+#: Takes every name of ``import sysid``, and a report of what is not there, where no package of an extra can be imported.
+CORE = """
+import sys
+from sysid.extras import EXTRAS
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in EXTRAS:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Absent())
+import sysid
+from sysid.extras import extra_of
+
+for name in sysid.__all__:
+    try:
+        getattr(sysid, name)
+    except ModuleNotFoundError as error:
+        print(name, extra_of(error))
+try:
+    sysid.report("nothing", workspace=sys.argv[1])
+except sysid.StoreError as error:
+    print(type(error).__name__)
+"""
+
+
+def test_the_core_alone_has_the_front(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", CORE, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.split() == ["StoreError"]
