@@ -347,7 +347,7 @@ def main() -> None:
         print(table(rows[-1:]).splitlines()[2], flush=True)
     print("\n" + table(rows))
     if args.publish:
-        head = provenance(f"python pipelines/mujoco_sysid_arms.py --seeds {args.seeds} --publish", None, ("mujoco",))
+        head = provenance(f"python pipelines/mujoco_sysid_arms.py --seeds {args.seeds} --publish", None, ("mujoco-core",))
         write_result(REPORT / "arms.json", {**head, "arms": rows})
         write_tables(REPORT / "README.md", table(rows), "pipelines/mujoco_sysid_arms.py")
 
