@@ -14,7 +14,6 @@ from sysid.datasets.clocks.records import KnownSkew, RecordingClocks, aligned, b
 from sysid.datasets.discover import RecordingFiles, check_recordings, check_refused, check_sources, count_files, discover
 from sysid.datasets.plan import (
     Plan,
-    command_notes,
     command_rates,
     content_of,
     made_by,
@@ -213,10 +212,8 @@ def read_and_align(
         own = _share(report, _FLAGGED, number, len(recording_clocks))
         flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
     rates = rate_notes(found, readings, plan.machine.rate_hz)
-    rates = rates or command_notes(
-        map(command_rates, readings.values()), plan.machine.rate_hz
-    )  # of a wrong unit it says nothing
-    notes = (*notes_of(found, plan, mounts, rates, alignment.refused), *copy_notes(recordings))
+    commands = [command_rates(reading) for reading in readings.values()]
+    notes = (*notes_of(found, plan, mounts, rates, commands, alignment.refused), *copy_notes(recordings))
     readings = {recording.name: readings[recording.name] for recording in recording_clocks}
     return IngestPass(readings, recording_clocks, clocks, tuple(recordings), made, tuple(flags), tuple(notes))
 

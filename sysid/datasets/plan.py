@@ -214,19 +214,22 @@ def notes_of(
     found: Sequence[RecordingFiles],
     plan: Plan,
     mounts: Mounts,
-    rates: Iterable[str],
+    rates: Sequence[str],
+    commands: Iterable[Mapping[str, float]],
     refused: Mapping[str, AlignmentError],
 ) -> tuple[str, ...]:
     """Notes on an ingest.
 
     Args:
-        rates: :func:`sysid.datasets.plan.rate_notes` of all recordings.
+        rates: :func:`rate_notes` of all recordings.
+        commands: :func:`command_rates` of each.
         refused: recordings that could not be placed in time.
     """
     streams = plan.rules.streams if plan.rules is not None else ()
     omitted = [f"left out: {error}" for error in refused.values()]
     if stated := sorted({key for keys in left_out(plan.roots, plan.rules).values() for key in keys}):
         omitted.append(f"{len(stated)} file{'s' if len(stated) > 1 else ''} left out by the recipe: {', '.join(stated)}")
+    rates = rates or command_notes(commands, plan.machine.rate_hz)  # the rate of a wrong unit says nothing
     return (*offset_notes(streams, mounts, plan.machine), *unmatched(found, plan.rules), *rates, *omitted)
 
 

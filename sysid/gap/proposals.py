@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,8 @@ MAX_DISTANCE = 60.0
 FEW_STARTS, MANY_STARTS = 4, 16
 #: Short steps of the screening, in the negligible change of each parameter.
 STEP = 2.0
+#: Least and largest share of a start value along which a response is taken as linear.
+SHARES = 0.05, 2.0
 
 
 @dataclass(frozen=True)
@@ -208,8 +211,7 @@ def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[
         best = ExpectedGain(candidate, -np.inf, np.array(candidate.starts[0]))
         nominal = np.array([model.theta[u.places[0]] for u in candidate.unknowns])
         for at in np.flatnonzero((owners == k) & whole):
-            share = float(np.clip(slope[at] / max(gram[at, at], 1e-12), 0.05, 2.0))
-            gain = share * slope[at] - 0.5 * share**2 * gram[at, at]
+            share, gain = along(slope[at], gram[at, at])
             if gain > best.gain:
                 best = ExpectedGain(candidate, float(gain), nominal + share * (starts[at] - nominal))
         short = np.flatnonzero((owners == k) & ~whole)
@@ -224,6 +226,16 @@ def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[
                 best = ExpectedGain(candidate, gain, moved)
         found.append(best)
     return found
+
+
+def along(slope: Any, square: Any) -> tuple[Any, Any]:
+    """Best shares of changes to which the response is linear, within :data:`SHARES`, and their gains in half the cost.
+
+    Args:
+        slope: products of changes and residual; ``square``: of changes with themselves, of the same shape.
+    """
+    share = np.clip(slope / np.maximum(square, 1e-12), *SHARES)
+    return share, share * slope - 0.5 * share**2 * square
 
 
 def _lanes(

@@ -10,7 +10,7 @@ from typing import Any
 from sysid.datasets.channels import Mounts, combined_mounts
 from sysid.datasets.clocks.records import KnownSkew, skews_of
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
-from sysid.datasets.plan import Plan, command_notes, made_by, notes_of, placed, streams_of, units_of, with_joint_units
+from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of, with_joint_units
 from sysid.datasets.quality.use import scales_of
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role, Source
@@ -115,10 +115,8 @@ class TaskIngest:
         units, assumed = with_joint_units(units_of({found[k].name: read[k].reading.channels for k in kept}), plan.machine)
         clocks = tuple(record for k in kept for record in aligned[k].clocks)
         rates = tuple(note for own in read for note in own.rates)
-        if not rates:  # the rate of a wrong unit says nothing
-            rates = command_notes((own.commands for own in read), plan.machine.rate_hz)
         notes = (
-            *notes_of(found, plan, mounts, rates, refused),
+            *notes_of(found, plan, mounts, rates, [own.commands for own in read], refused),
             *copy_notes(tables),
             *assumed,
         )

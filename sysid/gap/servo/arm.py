@@ -30,6 +30,7 @@ from sysid.gap.fit import ROUGH, Fit, fit_candidates, place, spread_of
 from sysid.gap.likelihood.stage import steps_of
 from sysid.gap.prepare.case import Case, Stage, stage_candidates
 from sysid.gap.problem import drive_problem
+from sysid.gap.proposals import along
 from sysid.gap.result import NamedEffect, Value
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import Z, as_little, at_floor
@@ -48,8 +49,6 @@ Search = Callable[[Stage, frozenset[EffectKey]], Stage]
 STEPS, CONVERGED = 12, 1e-9
 #: Effects of a first motion at most, and candidates that are fitted for each.
 MOST, TRIED = 3, 3
-#: Least and largest share of a start value.
-SHARES = 0.05, 2.0
 
 
 def beside_each_other(case: Case, stages: Sequence[Stage], search: SearchStages) -> list[Stage]:
@@ -130,9 +129,7 @@ def _promising(data: Data, fit: Fit, candidates: Sequence[Candidate]) -> list[tu
         nominal, starts = np.array([u.nominal for u in candidate.unknowns]), np.array(candidate.starts)
         moved = data.residuals(place(fit.theta, candidate.unknowns, starts))
         changes = here - np.nan_to_num(np.concatenate([part.reshape(len(starts), -1) for part in moved], axis=1))
-        squares, slopes = (changes**2).sum(axis=1), changes @ here
-        shares = np.clip(slopes / np.maximum(squares, 1e-12), *SHARES)
-        gains = 2.0 * shares * slopes - shares**2 * squares
+        shares, gains = along(changes @ here, (changes**2).sum(axis=1))
         best = int(np.argmax(gains))
         found.append((gains[best], candidate, nominal + shares[best] * (starts[best] - nominal)))
     return [(candidate, start) for _, candidate, start in sorted(found, key=lambda each: -each[0])[:TRIED]]
