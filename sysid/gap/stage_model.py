@@ -215,7 +215,9 @@ def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> Sta
 
 def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:
     """A model with the values that the decision uses."""
-    return model.with_values(free.least_squares(model)) if decision.accumulates else model
+    if decision.accumulates:
+        return model.with_values(free.least_squares(model))
+    return model if decision.exact else free.nearer(model)
 
 
 def _discrepancy(model: Model, rows: StageRows, theta: Array, sample: float) -> Discrepancy:

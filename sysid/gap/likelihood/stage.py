@@ -22,6 +22,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.fit import place
@@ -377,6 +378,8 @@ DAMPING, MIN_GAIN_RATIO = (0.0, 1e-2, 0.3, 10.0), 0.5
 FLAT = 1e-3
 #: Least change of the innovations (norm) over which the slope of a stepwise unknown is taken.
 MIN_CHANGE = 2.0
+#: Added to the unit diagonal of a scaled Hessian, which rounding may leave singular.
+ROUNDING = 1e-12
 #: Half-widths of the grid around a flat or stepwise parameter, in its negligible change.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.4)
 
@@ -496,20 +499,16 @@ def _secant(likelihood: StageLikelihood, unknowns: Sequence[Unknown], x: Array, 
 
 
 def _stepped(x: Array, hessian: Array, gradient: Array, damping: float, prior: Prior) -> Array:
-    """A damped Gauss–Newton step; unknowns that would leave their bounds stay at them, and the others are solved again."""
-    free = np.ones(len(x), dtype=bool)
-    moved = x.copy()
-    for _ in range(len(x)):
-        h = hessian[np.ix_(free, free)]
-        h = h + damping * np.diag(np.diag(h)) + 1e-12 * np.eye(len(h))
-        rest = gradient[free] + hessian[np.ix_(free, ~free)] @ ((moved - x)[~free] / prior.width[~free])
-        moved[free] = x[free] - prior.width[free] * np.linalg.solve(h, rest)
-        out = free & ((moved < prior.low) | (moved > prior.high))
-        moved = np.clip(moved, prior.low, prior.high)
-        if not out.any() or not (free & ~out).any():
-            break
-        free &= ~out
-    return moved
+    """A damped Gauss–Newton step: to the least value of the quadratic within the bounds."""
+    unit = prior.width / np.sqrt(np.diag(hessian))
+    scaled = hessian * np.outer(unit, unit) / np.outer(prior.width, prior.width)
+    factor = np.linalg.cholesky(scaled + (damping + ROUNDING) * np.eye(len(x)))
+    aim = -solve_triangular(factor, gradient * unit / prior.width, lower=True)
+    step = solve_triangular(factor, aim, lower=True, trans="T")
+    low, high = (prior.low - x) / unit, (prior.high - x) / unit
+    if ((step < low) | (step > high)).any():
+        step = lsq_linear(factor.T, aim, (low, high), method="bvls").x
+    return np.clip(x + unit * step, prior.low, prior.high)
 
 
 def _finished(
