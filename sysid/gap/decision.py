@@ -18,7 +18,7 @@ Given models of one stage (sets of effects) under shared variances:
    between blocks, and of which no other is likelier by more than twice ``BLOCK_NATS`` and by a fifth of what a discrepancy
    gains beside it. The plant gets the values of the chosen set, unless a survivor with further effects leaves less.
    *Formulas wrong, errors do not accumulate*: the minimal survivors. The plant gets the likeliest minimal survivor with further
-   effects that leaves less by more than a tenth.
+   effects that leaves less by more than a tenth, with values of least squares where these leave less by as much.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 4. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where formulas are wrong, the set has to be worth its
