@@ -131,7 +131,7 @@ def show_written(out: Printer, result: GapResult, dataset: Dataset) -> None:
     if result.plant_after:
         out.line(f"Written into plant {result.plant_after}: {count}")
     else:
-        out.line(f"A repair (--add) would write {count}:")
+        out.line(f"The repair has {count}:")
     out.show(written_table(result, dataset))
     out.entry(SHARE)
     if links:

@@ -75,7 +75,7 @@ def test_what_the_plant_had_before_is_not_written() -> None:
 def test_the_console_has_a_row_for_each_and_the_total_delay(capsys: pytest.CaptureFixture[str]) -> None:
     show_gap(Printer(), repaired_example(), DATASET)
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
-    assert "A repair (--add) would write 4 effects:" in lines
+    assert "The repair has 4 effects:" in lines
     assert any(line.startswith("Dead time of pitch delay 67.0 ms 60.0 to 70.0 ms 2 % named") for line in lines), lines
     assert any(line.startswith("First-order lag of boom time constant 100 ms (was 60.0 ms)") for line in lines)
     assert any(line.startswith("Servo lag of pitch") and line.endswith("no name") for line in lines)
