@@ -133,7 +133,9 @@ def free_run_of(rows: StageRows, discrepancy: Discrepancy, candidates: Sequence[
     none = NO_DISTURBANCE
     white = tuple(Disturbance(float(f), none * float(f), none * float(f), 1.0, none * float(f), 1.0) for f in rows.floor)
     variances = Variances(white, np.zeros(0), np.ones(rows.count))
-    nothing = replace(discrepancy.absent, timing=np.zeros(rows.count))  # a simulation has no errors of timing either
+    nothing = discrepancy.absent  # with errors of timing: where the free run decides, a dead time must not stand for them
+    if not rows.problem.integrates:  # it gives values to the plant, which has none
+        nothing = replace(nothing, timing=np.zeros(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
     likelihood = StageLikelihood(rows, nothing, variances, calm, _clusters(rows), False, CONVERGED)
     return LeastSquares(Proposals(likelihood, candidates))
