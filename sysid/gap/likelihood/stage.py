@@ -500,10 +500,10 @@ def _secant(likelihood: StageLikelihood, unknowns: Sequence[Unknown], x: Array, 
 
 def _stepped(x: Array, hessian: Array, gradient: Array, damping: float, prior: Prior) -> Array:
     """A damped Gauss–Newton step: to the least value of the quadratic within the bounds."""
-    unit = prior.width / np.sqrt(np.diag(hessian))
-    scaled = hessian * np.outer(unit, unit) / np.outer(prior.width, prior.width)
-    factor = np.linalg.cholesky(scaled + (damping + ROUNDING) * np.eye(len(x)))
-    aim = -solve_triangular(factor, gradient * unit / prior.width, lower=True)
+    size = np.sqrt(np.diag(hessian))
+    unit = prior.width / size
+    factor = np.linalg.cholesky(hessian / np.outer(size, size) + (damping + ROUNDING) * np.eye(len(x)))
+    aim = -solve_triangular(factor, gradient / size, lower=True)
     step = solve_triangular(factor, aim, lower=True, trans="T")
     low, high = (prior.low - x) / unit, (prior.high - x) / unit
     if ((step < low) | (step > high)).any():

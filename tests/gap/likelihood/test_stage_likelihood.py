@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from regression_stage import NOISE, candidate, discrepancy, functions, likelihood, rows_of
 from scipy.stats import multivariate_normal
 
 from sysid.gap.likelihood.block_products import block_products, predictive_densities
-from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model, prior_of, share_of
+from sysid.gap.likelihood.stage import DAMPING, ModelFit, Prior, StageLikelihood, _stepped, fit_model, prior_of, share_of
 
 Array = npt.NDArray[np.float64]
 
@@ -147,3 +149,25 @@ def test_a_fit_stays_inside_the_bounds() -> None:
     rows = rows_of((9.0, 0.0, 0.0))  # the bounds are ±5
     found = fitted(likelihood(rows), 0)
     assert found.values[0] == 5.0
+
+
+@given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 6), damping=st.sampled_from(DAMPING))
+def test_a_bounded_step_leads_to_the_least_value_of_the_quadratic(seed: int, k: int, damping: float) -> None:
+    """Also where several unknowns would leave their bounds at once; clipped, such a step ended above its begin."""
+    rng = np.random.default_rng(seed)
+    slopes, width = rng.standard_normal((k + 2, k)) * 10.0 ** rng.uniform(-3, 3, k), 10.0 ** rng.uniform(-3, 3, k)
+    hessian, gradient = slopes.T @ slopes + np.eye(k), slopes.T @ rng.standard_normal(k + 2) * 10.0 ** rng.uniform(0, 3)
+    low = np.zeros(k)
+    high = width * rng.uniform(0.1, 3.0, k)
+    begin = np.clip(width * rng.uniform(-0.5, 3.5, k), low, high)
+    found = _stepped(begin, hessian, gradient, damping, Prior(begin, width, low, high, width))
+    damped = hessian + damping * np.diag(np.diag(hessian))
+
+    def value(x: Array) -> float:
+        step = (x - begin) / width
+        return float(gradient @ step + 0.5 * step @ damped @ step)
+
+    assert ((found >= low) & (found <= high)).all()
+    others = [begin, *(low + rng.uniform(0.0, 1.0, (50, k)) * (high - low)), *(found + 1e-3 * (x - found) for x in (low, high))]
+    least, size = value(found), float(np.abs(gradient) @ np.abs((found - begin) / width))
+    assert least <= min(map(value, others)) + 1e-9 * (1.0 + size)
