@@ -105,7 +105,7 @@ def begun(workspace: Path) -> None:
     """A watched machine, and one more recording; what is named on it is given."""
     ingested(workspace)
     effect = FleetEffect("valve_deadband", "a", None, ("positive", "negative"))
-    machine = FleetMachine("demo@1", "named", (effect,)).to_json()
+    machine = FleetMachine("demo@1", "named", (effect,))
     with mock.patch.object(watching, "name_effects", return_value=machine):
         watching.watch(workspace, "demo")
 
