@@ -78,9 +78,9 @@ def test_a_sway_is_found_and_the_repaired_plant_swings(length: float) -> None:
         if length > 0.02:
             assert after < 1.3 * floor
             assert result.stage_gap.after[signal] < 1.3 * result.stage_gap.noise_floor[signal]
-        else:  # thrown to 76°, it is swung by what the estimate of the measured tip lacks
-            assert after < 0.2 * result.gap.before[signal]
-            assert result.stage_gap.after[signal] < 0.03 * length
+        else:  # thrown to 76°, it is swung by what the estimate of the measured tip lacks, up to 0.7 mm
+            for gap in (result.gap, result.stage_gap):
+                assert gap.after[signal] < 0.2 * gap.before[signal]
     assert 'name = "gripper_sway"' in result.machine_diff
 
 
