@@ -18,7 +18,7 @@ Given models of one stage (sets of effects) under shared variances:
    between blocks, and of which no other is likelier by more than twice ``BLOCK_NATS`` and by a fifth of what a discrepancy
    gains beside it. The plant gets the values of the chosen set, unless a survivor with further effects leaves less.
    *Formulas wrong, errors do not accumulate*: the minimal survivors. The plant gets the likeliest minimal survivor with further
-   effects that leaves less by more than a tenth, with values of least squares where these leave less by as much.
+   effects that leaves less by more than a tenth, both with values of least squares.
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 4. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where formulas are wrong, the set has to be worth its
@@ -115,13 +115,6 @@ class FreeRun:
     def least_squares(self, model: ModelFit) -> ModelFit:
         """The set of effects with values of least squares, and their covariance."""
         return model
-
-    def nearer(self, model: ModelFit) -> ModelFit:
-        """The set of effects with the values of least error, where these leave a tenth less; intervals keep their widths."""
-        nearest = self.nearest(model)
-        if as_little(model.left, nearest.left):
-            return model
-        return replace(model, values=nearest.values, theta=nearest.theta, left=nearest.left)
 
     def left(self, model: ModelFit) -> float:
         return self.nearest(model).left
@@ -231,7 +224,6 @@ def decide(
         more = [c for c in richer.candidates if c.label not in model.labels]
         near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), Reason.LITTLE) for c in more]
         model = richer
-    model = free.nearer(model) if static else model  # the plant has neither discrepancy nor errors of timing
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
     seen = {c.key for c in model.candidates}
     for other in (*acceptable, *survivors):

@@ -8,7 +8,7 @@ output (Tuo and Wu, Ann. Stat. 43 (2015), 2331–2352).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -133,11 +133,8 @@ def free_run_of(rows: StageRows, discrepancy: Discrepancy, candidates: Sequence[
     none = NO_DISTURBANCE
     white = tuple(Disturbance(float(f), none * float(f), none * float(f), 1.0, none * float(f), 1.0) for f in rows.floor)
     variances = Variances(white, np.zeros(0), np.ones(rows.count))
-    nothing = discrepancy.absent  # with errors of timing: where the free run decides, a dead time must not stand for them
-    if not rows.problem.integrates:  # it gives values to the plant, which has none
-        nothing = replace(nothing, timing=np.zeros(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
-    likelihood = StageLikelihood(rows, nothing, variances, calm, _clusters(rows), False, CONVERGED)
+    likelihood = StageLikelihood(rows, discrepancy.absent, variances, calm, _clusters(rows), False, CONVERGED)
     return LeastSquares(Proposals(likelihood, candidates))
 
 

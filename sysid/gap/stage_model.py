@@ -13,7 +13,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import smallest_sets
 from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
-from sysid.gap.likelihood.discrepancy import Discrepancy, discrepancy_of
+from sysid.gap.likelihood.discrepancy import discrepancy_of
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import STATIC_SPAN, StageRows, averaged, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
@@ -150,6 +150,7 @@ def search_stage(
     candidates: Sequence[Candidate],
     nameable: Sequence[str],
     on_fit: Callable[[str], None],
+    timing: float,
 ) -> StageSearch:
     """Search one stage.
 
@@ -157,6 +158,7 @@ def search_stage(
         sigma: noise floor of each output, (d,).
         nameable: labels of candidates that the recordings excite enough; the others are compared, but not named.
         on_fit: called with the labels of each fitted set.
+        timing: error of timing between input and output [s], one standard deviation.
     """
     full = recordings[0].rate_hz
     # Means over 0.1 s that are shifted by a clock error are wrong by several noise floors at every start and stop.
@@ -167,16 +169,15 @@ def search_stage(
         recordings = [averaged(problem.estimated(r), problem.stage) for r in recordings]
         problem = problem.by_estimates or problem
     rows = StageRows(problem, recordings, theta, sigma, hidden)
-    sample = recordings[0].rate_hz / full  # of the log, in samples of the averaged recordings
-    samples = max(1, round(1.0 / sample)) * rows.series[0].width
+    samples = max(1, round(full / recordings[0].rate_hz)) * rows.series[0].width
     start = _start(rows, sigma, samples)
     extra = _transients(rows)
     # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
     excited = [c for c in candidates if c.label in nameable]
-    free = free_run_of(rows, _discrepancy(model, rows, theta, sample).absent, excited)
+    free = free_run_of(rows, discrepancy_of(model, rows, theta, timing).absent, excited)
     sets = smallest_sets(free.sets(), free.priced) if problem.integrates else [free.proposals.fit(())]
     known = dict(free.proposals.fits)
-    discrepancy = _discrepancy(model, rows, theta, sample)
+    discrepancy = discrepancy_of(model, rows, theta, timing)
     variances = first_variances(rows, start, len(discrepancy.groups), FREE_RUN_TAU if problem.integrates else FIRST_TAU)
     rich = sets[0]
     for _ in range(ROUNDS):
@@ -184,7 +185,7 @@ def search_stage(
         rich = first.forward(first.warm(rich.candidates, rich))
         known |= first.fits
         del first, discrepancy  # the largest table of a stage, before the next one
-        discrepancy = _discrepancy(model, rows, rich.theta, sample)
+        discrepancy = discrepancy_of(model, rows, rich.theta, timing)
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
     variances = robust(StageLikelihood(rows, discrepancy, variances, extra), rich)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
@@ -215,15 +216,7 @@ def _fitted(proposals: Proposals, decision: Decision, free: LeastSquares) -> Sta
 
 def _valued(model: ModelFit, decision: Decision, free: LeastSquares) -> ModelFit:
     """A model with the values that the decision uses."""
-    if decision.accumulates:
-        return model.with_values(free.least_squares(model))
-    return model if decision.exact else free.nearer(model)
-
-
-def _discrepancy(model: Model, rows: StageRows, theta: Array, sample: float) -> Discrepancy:
-    """The columns of a stage; timing is uncertain by half a sample of the log, not by half an averaging interval."""
-    found = discrepancy_of(model, rows, theta)
-    return replace(found, timing=sample * found.timing)
+    return model.with_values(free.least_squares(model)) if decision.accumulates else model
 
 
 def _start(rows: StageRows, sigma: Array, samples: int) -> Start:

@@ -168,24 +168,6 @@ def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: f
     assert (near.candidate, near.lacks) == (LAG, Reason.LITTLE if taken else Reason.REPLACED)
 
 
-@pytest.mark.parametrize(("least", "taken"), [(4.0, True), (9.5, False)])
-def test_where_formulas_are_wrong_the_plant_has_the_values_of_its_free_run(least: float, taken: bool) -> None:
-    """The likelihood allows for a discrepancy and errors of timing, which the plant has not; names and widths are its own."""
-
-    class Nearer(FreeRun):
-        def nearest(self, model: ModelFit) -> ModelFit:
-            return replace(model, values=model.values + 0.02, left=least, covariance=4.0 * model.covariance)
-
-    right, wrong = model(BAND, left=10.0), model(worse=4.0, left=100.0)
-    for needed in (0.0, 100.0):
-        found = decide([wrong, right], ALL, integrates=False, free=Nearer(), needed=lambda f, needed=needed: needed)
-        away = 0.12 if taken and needed else 0.1
-        assert found.named == (BAND,)
-        assert found.model.values == pytest.approx([u.nominal + away for u in BAND.unknowns])
-        assert found.model.left == (least if taken and needed else 10.0)
-        assert found.model.covariance == pytest.approx(right.covariance)
-
-
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
     half = float(np.sqrt(thresholds.TENTH**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)

@@ -39,8 +39,6 @@ PRIOR_WIDTH = 10.0
 PRIOR_WIDTH_NEGLIGIBLE = 100.0
 #: Smallest plausible size of an effect, in its negligible change.
 FINEST = 0.1
-#: Prior standard deviation of timing, in half samples: the uncertainty of sample-and-hold.
-TIMING = 1.0
 #: Directions of the linear part with a prior variance below this share of the noise's are left out.
 NEGLIGIBLE = 0.02
 #: Ridge of the regression on effects, for effects with the same output.
@@ -282,9 +280,7 @@ class StageLikelihood:
         active = (scale > 0.0) & (rows.in_floors(discrepancy.columns) * scale < DIVERGED)
 
         def part(s: Series) -> Array:
-            return np.column_stack(
-                [TIMING * discrepancy.timing[s.rows], discrepancy.columns[s.rows][:, active] * scale[active]]
-            )
+            return np.column_stack([discrepancy.timing[s.rows], discrepancy.columns[s.rows][:, active] * scale[active]])
 
         gram = np.zeros((1 + int(active.sum()),) * 2)
         for k, s in enumerate(rows.series):

@@ -26,7 +26,7 @@ class Discrepancy:
     Args:
         columns: (rows, m), unit of the output for a coefficient of one; in single precision, the largest table of a stage.
         group: index in ``groups`` of each column, (m,).
-        timing: change of the output for half a sample of timing, (rows,).
+        timing: change of the output by an error of timing of one standard deviation, (rows,).
     """
 
     columns: npt.NDArray[np.float32]
@@ -40,12 +40,12 @@ class Discrepancy:
         return Discrepancy(np.zeros((len(self.timing), 0), np.float32), np.zeros(0, dtype=np.int64), (), self.timing)
 
 
-def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
-    """The columns of a stage, with the dead time and lag of ``theta``."""
+def discrepancy_of(model: Model, rows: StageRows, theta: Array, timing: float) -> Discrepancy:
+    """The columns of a stage, with the dead time and lag of ``theta``; ``timing``: standard deviation of its error [s]."""
     problem = rows.problem
     make = _maker(model, rows, theta)
     groups, sizes = tuple[str, ...](), list[int]()
-    table, timing = np.empty((rows.count, 0), np.float32), np.zeros(rows.count)
+    table, late = np.empty((rows.count, 0), np.float32), np.zeros(rows.count)
     at = 0
     signals = len(problem.signals)
     for recording in rows.recordings:
@@ -62,9 +62,9 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array) -> Discrepancy:
             first += size
         for k in range(signals):
             s = rows.series[at + k]
-            timing[s.rows] = 0.5 / recording.rate_hz * _slope(s.measured, s.time) if recording.kind == "motion" else 0.0
+            late[s.rows] = timing * _slope(s.measured, s.time) if recording.kind == "motion" else 0.0
         at += signals
-    return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing)
+    return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, late)
 
 
 def _maker(model: Model, rows: StageRows, theta: Array) -> Callable[[Recording], Columns]:
