@@ -14,9 +14,9 @@ from sysid.datasets import Dataset
 from sysid.datasets.versions.index import VersionIndex
 from sysid.display import quantity
 from sysid.errors import ExcitationError, SettingsError, StoreError
+from sysid.gap.stored_result import RESULT
 from sysid.parse import parse_json
 from sysid.registry import NETWORKS, Check, ModelVersion, Promotion, decide
-from sysid.reports.archive import RESULT
 from sysid.reports.card import Card, CardBlock, card_of, changes
 from sysid.validate import ValidationReport
 from sysid.versions import (

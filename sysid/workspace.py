@@ -22,6 +22,7 @@ from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.extras import versions_of
 from sysid.gap import GapResult
 from sysid.gap.experiment.excitation_verdict import excitation_report
+from sysid.gap.stored_result import load_gap, save_gap
 from sysid.location import LOCAL, checked_location, local_folder
 from sysid.names import check_dataset_name, model_name
 from sysid.networks import (
@@ -40,7 +41,6 @@ from sysid.registry.policy import load_policy
 from sysid.registry.version import sha256
 from sysid.release import __version__
 from sysid.reports import ReportInputs, VersionNote
-from sysid.reports.archive import load_gap, save_gap
 from sysid.root import Root
 from sysid.validate import ValidationReport, validate_model
 

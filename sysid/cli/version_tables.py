@@ -226,8 +226,8 @@ def show_model(out: Printer, version: ModelVersion, difference: str) -> None:
         difference: its change of ``machine.toml``; empty without one.
     """
     from sysid.figures import stored_errors
-    from sysid.registry.decision import decision_row
     from sysid.registry.effect_changes import change_cells, effect_changes
+    from sysid.registry.promotion import decision_row
 
     known = f"  ({', '.join(version.aliases)})" if version.aliases else ""
     out.line(f"{version.reference}{known}  {version.kind}  {version.digest}")

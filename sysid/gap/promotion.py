@@ -27,7 +27,7 @@ from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import Gap, WorldGap
 from sysid.gap.written import with_units
 from sysid.registry import Check, ModelVersion, PromotionDecision, Registry
-from sysid.registry.decision import now_ms
+from sysid.registry.promotion import now_ms
 from sysid.release import __version__
 
 #: A gap has grown if it exceeds its limit by this many standard deviations of the noise floor.

@@ -13,8 +13,8 @@ import pandas as pd
 
 from sysid.gap.statement import Agreement, CommandOrder, Missing, ResponseDifference, Verdict, headline
 from sysid.gap.thresholds import at_floor
-from sysid.registry.decision import Check as Check
-from sysid.registry.decision import Promotion as Promotion
+from sysid.registry.promotion import Check as Check
+from sysid.registry.promotion import Promotion as Promotion
 
 if TYPE_CHECKING:
     from sysid.gap.experiment.experiment import Experiment

@@ -1,6 +1,6 @@
 """Versions of networks, plants and policies with their lineage, in an MLflow model registry (loaded late)."""
 
-from sysid.registry.decision import Check, Promotion, PromotionDecision
+from sysid.registry.promotion import Check, Promotion, PromotionDecision
 from sysid.registry.registry import DamagedModel, Registry, decide
 from sysid.registry.repair import RepairReport
 from sysid.registry.version import (

@@ -20,7 +20,7 @@ from sysid.errors import SettingsError, StoreError
 from sysid.names import check_name
 from sysid.parse import parse_json
 from sysid.registry.artifacts import checked
-from sysid.registry.decision import PromotionDecision
+from sysid.registry.promotion import PromotionDecision
 from sysid.registry.stored import DECISION, DIGEST, LATEST_MS, MANIFEST, METRICS, SEAL, ModelChange, StoredModel, StoredVersion
 from sysid.registry.version import Kind, ModelVersion, check_files, sha256
 

@@ -20,8 +20,8 @@ from sysid.errors import SettingsError, StorageError, StoreError, nearest
 from sysid.names import check_name
 from sysid.registry.artifacts import FolderArtifacts, RunArtifacts, checked
 from sysid.registry.client import SQLITE, disk_errors
-from sysid.registry.decision import Check, Promotion, PromotionDecision, now_ms
 from sysid.registry.entries import broken_model, check_stored_name, decision_key, kind_of, sealed, version_of
+from sysid.registry.promotion import Check, Promotion, PromotionDecision, now_ms
 from sysid.registry.repair import RepairReport, repair
 from sysid.registry.server import ServerTables
 from sysid.registry.stored import DIGEST, MANIFEST, METRICS, ModelChange, Record, StoredModel, StoredVersion

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from sysid.errors import SettingsError, StoreError, nearest
 from sysid.names import check_name
-from sysid.registry.decision import PromotionDecision
+from sysid.registry.promotion import PromotionDecision
 
 Kind = Literal["actuator", "history", "motion", "forward", "plant", "policy"]
 #: Kinds that `sysid fit` creates.

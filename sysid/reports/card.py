@@ -16,8 +16,8 @@ from sysid.networks import ForwardNetwork, Model, StructuredForward, history_net
 from sysid.networks.policy import PolicyNetwork
 from sysid.networks.uncertainty import FALSE_FLAGS
 from sysid.registry import NETWORKS, ModelVersion
-from sysid.registry.decision import decision_row
 from sysid.registry.effect_changes import CHANGES, change_cells
+from sysid.registry.promotion import decision_row
 from sysid.reports.result_figures import (
     PREDICTIONS,
     largest_spikes,

@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 from sysid import display
 from sysid.figures import Table, stored_errors, stored_parameters
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
-from sysid.registry.decision import decision_row
+from sysid.registry.promotion import decision_row
 from sysid.reports.card import Card, plant_errors
 from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
 from sysid.reports.pages import SiteBar, page

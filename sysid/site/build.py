@@ -18,13 +18,13 @@ from sysid.datasets.versions.index import VersionIndex
 from sysid.datasets.versions.manifest import Manifest
 from sysid.errors import StorageError, StoreError, SysidError
 from sysid.files import json_text
+from sysid.gap.stored_result import load_gap
 from sysid.machine import machine_from_files
 from sysid.model_versions import ModelVersions
 from sysid.parse import parse_json
 from sysid.progress import Progress, silent
 from sysid.registry import ModelVersion
 from sysid.release import __version__
-from sysid.reports.archive import load_gap
 from sysid.reports.model_pages import card_page, models_page
 from sysid.reports.pages import FOLDER as REPORTS
 from sysid.reports.pages import SiteBar, write_page

@@ -17,11 +17,11 @@ from sysid.errors import SettingsError, StoreError
 from sysid.figures import ParameterFigure, stored_errors, stored_parameters
 from sysid.gap.result import Gap
 from sysid.gap.statement import headline
+from sysid.gap.stored_result import RESULT
 from sysid.names import dotted
 from sysid.parse import parse_json
 from sysid.registry import DamagedModel, ModelVersion
 from sysid.registry.version import sources
-from sysid.reports.archive import RESULT
 from sysid.reports.dataset_texts import ROLES, clock_text, length_text, role_text
 from sysid.reports.result_figures import point_errors
 from sysid.reports.words import effect_title, signal_name

@@ -19,7 +19,7 @@ from sysid.display import quantity
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.figures import output_name
 from sysid.registry import NETWORKS
-from sysid.registry.decision import Check
+from sysid.registry.promotion import Check
 from sysid.units import si_factor
 from sysid.validate import OutputReport, ValidationReport
 

@@ -16,10 +16,10 @@ from sysid.datasets import Dataset
 from sysid.gap import GapResult
 from sysid.gap.reasons import Reason
 from sysid.gap.result import AxisDelay, Excitation, Gap, NamedEffect, NearMissResult
+from sysid.gap.stored_result import load_gap, save_gap
 from sysid.gap.written import axis_delays, written_effects
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import nominal_plant
-from sysid.reports.archive import load_gap, save_gap
 from sysid.reports.next_steps import next_steps
 
 AXES = "".join(

@@ -109,7 +109,7 @@ def registry_row(data: bytes) -> None:
 
 
 def _registry_seeds() -> tuple[bytes, ...]:
-    from sysid.registry.decision import Check, PromotionDecision
+    from sysid.registry.promotion import Check, PromotionDecision
 
     manifest = json.dumps({"files": {"plant.json": "ab"}, "kind": "plant", "lineage": {"dataset": "demo@1"}})
     decision = PromotionDecision(True, "", (Check("names", "passed", "one"),), judged={"by": "gap"}).to_text()

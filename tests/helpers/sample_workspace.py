@@ -14,9 +14,9 @@ from stored import small_dataset
 from version_data import actuator
 
 from sysid.datasets.versions.manifest import PartRecord
+from sysid.gap.stored_result import save_gap
 from sysid.networks import NetworkRecipe
 from sysid.plant import nominal_plant
-from sysid.reports.archive import save_gap
 from sysid.workspace import Workspace, open_workspace
 
 

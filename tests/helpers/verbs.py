@@ -23,8 +23,8 @@ from sysid.fleet import watching
 from sysid.fleet.effects import FleetEffect
 from sysid.fleet.result import FleetMachine
 from sysid.fleet.watching import WatchState
+from sysid.gap.stored_result import load_gap
 from sysid.registry import Registry, decide
-from sysid.reports.archive import load_gap
 from sysid.workspace import Workspace
 
 State = tuple[object, ...]

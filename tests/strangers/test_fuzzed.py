@@ -48,7 +48,7 @@ def damaged(seed: bytes, rng: random.Random) -> bytes:
 
 
 #: Whole verbs; the fast tier has strangers/test_edge_machines.py, test_current_folder.py, export/test_export_names.py,
-#: fleet/test_watch_arrivals.py and reports/test_archive.py.
+#: fleet/test_watch_arrivals.py and reports/test_stored_result.py.
 WHOLE = ("edges", "current-folder", "gap-result", "arrivals", "export-names")
 
 

@@ -14,10 +14,10 @@ from stored import small_dataset
 from sysid.datasets import Dataset, Store, vacuum
 from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import StoreError
+from sysid.gap.stored_result import load_gap, save_gap
 from sysid.registry import Registry
 from sysid.registry.artifacts import FolderArtifacts
 from sysid.registry.stored import Record
-from sysid.reports.archive import load_gap, save_gap
 from sysid.root import Root
 from sysid.workspace import Workspace
 

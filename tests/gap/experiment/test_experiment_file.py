@@ -16,7 +16,7 @@ from weak_excitation import slow_dataset
 from sysid.errors import SettingsError
 from sysid.gap import find_gap
 from sysid.gap.experiment import EffectAt, Experiment, Purpose, outside, read_experiment, write_experiment
-from sysid.reports.archive import load_gap, save_gap
+from sysid.gap.stored_result import load_gap, save_gap
 
 TIE = Purpose(
     "tie",

@@ -22,12 +22,12 @@ from sysid.errors import SettingsError
 from sysid.gap import find_gap, steps
 from sysid.gap.proof import ProofOutcome, with_carried
 from sysid.gap.result import Gap, GapResult, ResidualModelResult, Unnamed
+from sysid.gap.stored_result import load_gap, save_gap
 from sysid.gap.unnamed.residual_model import fit_residual_models
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, train_recurrent
 from sysid.plant import free_run, plant_from_files
 from sysid.registry import Registry
 from sysid.reports import ReportInputs, build_report
-from sysid.reports.archive import load_gap, save_gap
 
 QUICK = RecurrentSettings(epochs=150)
 

@@ -14,7 +14,7 @@ from sample_crane import sample_gap, sample_unnamed
 from sysid.datasets.recording import Dataset
 from sysid.errors import StoreError
 from sysid.gap.result import Check, EffectEvidence, Promotion, WorldGap
-from sysid.reports.archive import load_gap, save_gap
+from sysid.gap.stored_result import load_gap, save_gap
 
 
 def test_round_trip(crane: Dataset, tmp_path: Path) -> None:
