@@ -19,12 +19,11 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
-from repeatability import show_repeatability
+from repeatability import repeatability, show_repeatability
 from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.datasets import Dataset, Recording, ingest
 from sysid.gap import find_gap
-from sysid.gap.repeatability import repeatability
 from sysid.logs import ReadOptions, reader_named
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, free_run

@@ -11,12 +11,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from repeatability import show_repeatability
+from repeatability import repeatability, show_repeatability
 from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.datasets import ingest
 from sysid.gap import GapResult, find_gap
-from sysid.gap.repeatability import repeatability
 from sysid.machine import load_machine
 from sysid.reports import write_report
 from sysid.workspace import open_workspace

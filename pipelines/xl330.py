@@ -16,14 +16,13 @@ from typing import Any
 
 import pandas as pd
 
-from repeatability import show_repeatability
+from repeatability import repeatability, show_repeatability
 from sysid.cli.gap_tables import show_gap
 from sysid.cli.output import PipelineProgress, Printer, write_json
 from sysid.config import read_toml
 from sysid.datasets import Dataset, ingest
 from sysid.datasets.recording import Role
 from sysid.gap import GapResult, find_gap
-from sysid.gap.repeatability import repeatability
 from sysid.logs import ReadOptions, reader_named
 from sysid.reports import write_report
 from sysid.workspace import Workspace, open_workspace

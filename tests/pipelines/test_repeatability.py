@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from sysid.gap.repeatability import repeatability
+from repeatability import repeatability
 from sysid.gap.result import Excitation, Gap, GapResult, NamedEffect
 
 NOTHING = GapResult(
