@@ -186,7 +186,7 @@ def _deadband() -> Any:
 
 
 @pytest.mark.slow
-def test_the_command_from_names_to_the_alarm(tmp_path: Path) -> None:
+def test_the_command_from_names_to_the_alarm(place: Path, tmp_path: Path) -> None:
     flights = tmp_path / "flights"
     words = ("--workspace", place, "fleet", "watch", "lift-1", flights, "--json", tmp_path / "watch.json", "--fail-on", "new")
     assert run(*words) == 0
