@@ -81,6 +81,7 @@ def test_a_sway_is_found_and_the_repaired_plant_swings(length: float) -> None:
         else:  # thrown to 76°, it is swung by what the estimate of the measured tip lacks, up to 0.7 mm
             for gap in (result.gap, result.stage_gap):
                 assert gap.after[signal] < 0.2 * gap.before[signal]
+            assert result.stage_gap.after[signal] < 0.04 * length
     assert 'name = "gripper_sway"' in result.machine_diff
 
 
