@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -55,6 +55,19 @@ class Arm:
 
 def names(stages: Sequence[Stage]) -> dict[str, list[str]]:
     return {s.problem.target: [kept.candidate.effect.name for kept in s.found.named] for s in stages}
+
+
+def adjusted(stage: Stage) -> Stage:
+    """The same stage without names: its effects are adjusted."""
+    return replace(stage, result=replace(stage.found, named=(), adjusted=tuple(k.candidate for k in stage.found.named)))
+
+
+def effects(stages: Sequence[Stage]) -> dict[str, list[str]]:
+    """What each axis gives the plant, with a name or without."""
+    return {s.problem.target: [candidate.effect.name for candidate in s.found.fit.candidates] for s in stages}
+
+
+with_or_without_a_name = pytest.mark.parametrize("has", [lambda stage: stage, adjusted], ids=["named", "adjusted"])
 
 
 @pytest.fixture
@@ -129,26 +142,41 @@ def test_nothing_is_searched_again_where_what_was_found_moves_nothing(arm: Arm, 
     assert len(search.calls) == 3
 
 
-def test_a_mass_takes_the_place_of_what_it_caused_on_an_axis_before(arm: Arm) -> None:
-    stages = [arm.stage("j0"), arm.stage("j1", ("armature_error", 1.4)), arm.stage("j2", ("link_mass_error", 1.3))]
+@with_or_without_a_name
+def test_a_mass_takes_the_place_of_what_it_caused_on_an_axis_before(arm: Arm, has: Callable[[Stage], Stage]) -> None:
+    stages = [arm.stage("j0"), arm.stage("j1", ("armature_error", 1.4)), has(arm.stage("j2", ("link_mass_error", 1.3)))]
 
     def search(stage: Stage, refuted: frozenset[Any]) -> Stage:
         assert refuted == {KEY}
         assert stage.theta[list(arm.candidates[KEY[:2]].unknowns[0].places)] == pytest.approx(1.3)
         return Stage(stage.problem, stage.split, stage.sigma, stage.theta, arm.result(stage, stage.problem.target))
 
-    assert names(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["link_mass_error"]}
+    assert effects(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["link_mass_error"]}
 
 
-def test_a_mass_that_the_axes_before_contradict_is_searched_without(arm: Arm) -> None:
-    stages = [arm.stage("j0"), arm.stage("j1"), arm.stage("j2", ("link_mass_error", 1.3))]
+@with_or_without_a_name
+def test_a_mass_that_the_axes_before_contradict_is_searched_without(arm: Arm, has: Callable[[Stage], Stage]) -> None:
+    stages = [arm.stage("j0"), arm.stage("j1"), has(arm.stage("j2", ("link_mass_error", 1.3)))]
 
     def search(stage: Stage, refuted: frozenset[Any]) -> Stage:
         axis, heavier = stage.problem.target, not np.array_equal(stage.theta, arm.theta)
         needs = [("armature_error", 0.8)] if heavier else [("stiffness_error", 0.8)] if axis == "j2" else []
         return Stage(stage.problem, stage.split, stage.sigma, stage.theta, arm.result(stage, axis, *needs))
 
-    assert names(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["stiffness_error"]}
+    assert effects(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["stiffness_error"]}
+
+
+def test_a_name_decides_on_a_mass_before_a_value_without_one(arm: Arm) -> None:
+    stages = [arm.stage("j0"), adjusted(arm.stage("j1", ("link_mass_error", 1.6))), arm.stage("j2", ("link_mass_error", 1.3))]
+    tried: dict[str, float] = {}
+
+    def search(stage: Stage, refuted: frozenset[Any]) -> Stage:
+        (place,) = arm.candidates[KEY[:2]].unknowns[0].places[:1]
+        tried[stage.problem.target] = float(stage.theta[place])
+        return Stage(stage.problem, stage.split, stage.sigma, stage.theta, arm.result(stage, stage.problem.target))
+
+    assert effects(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["link_mass_error"]}
+    assert tried == {"j0": pytest.approx(1.3), "j1": pytest.approx(1.3)}
 
 
 def test_axes_that_agree_on_a_mass_are_not_searched_again(arm: Arm) -> None:

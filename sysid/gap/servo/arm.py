@@ -5,7 +5,8 @@ small effects are adjusted in its place. A few effects of each axis are therefor
 the right ones does not matter to the motion.
 
 Masses: the mass of a link looks like a gain or an armature on one axis by itself. It is one value for all axes before the link:
-what one of them names is put into the others, which are searched again. It stays if the arm needs no more effects with it.
+what one of them finds, with a name or adjusted, is put into the others, which are searched again. It stays if the arm needs no
+more effects with it.
 
 Values: each axis by itself decides which effects there are, beside the motion of the others and a discrepancy that takes a
 share of what an effect explains. Where the plant with all of them explains the recordings to within noise, the values are those
@@ -158,7 +159,7 @@ def _is_clear(result: StageResult) -> bool:
 
 
 def with_link_masses(stages: Sequence[Stage], search: Search) -> tuple[Stage, ...]:
-    """The stages; from the tip to the base, axes that do not name a mass that another one names are searched again with it."""
+    """The stages; from the tip to the base, axes that do not find a mass that another one finds are searched again with it."""
     found = list(stages)
     chain = max((stage.problem.carried for stage in stages), key=len, default=())
     for link in reversed(chain):
@@ -169,19 +170,19 @@ def with_link_masses(stages: Sequence[Stage], search: Search) -> tuple[Stage, ..
 def _settle(stages: list[Stage], key: EffectKey, search: Search) -> None:
     """Decide on one mass, and replace the stages that it changes."""
     carrying = [k for k, stage in enumerate(stages) if key[1] in stage.problem.carried]
-    naming = {k: mass for k in carrying if (mass := _named(stages[k].found, key)) is not None}
-    if not naming:
+    with_it = {k: mass for k in carrying if (mass := _mass(stages[k].found, key)) is not None}
+    if not with_it:
         return
-    owner = min(naming, key=lambda k: _deviation(stages[k].found, naming[k]))
-    agreeing = {k for k, mass in naming.items() if _agree(stages[owner].found, naming[owner], stages[k].found, mass)}
-    value = stages[owner].found.fit.values_of(naming[owner])
+    owner = min(with_it, key=lambda k: (not _is_named(stages[k].found, key), _deviation(stages[k].found, with_it[k])))
+    agreeing = {k for k, mass in with_it.items() if _agree(stages[owner].found, with_it[owner], stages[k].found, mass)}
+    value = stages[owner].found.fit.values_of(with_it[owner])
     others = [k for k in carrying if k not in agreeing]
     tried = {}
     for k in others:
-        theta = place(stages[k].theta, naming[owner].unknowns, value[None])[0]
+        theta = place(stages[k].theta, with_it[owner].unknowns, value[None])[0]
         tried[k] = search(replace(stages[k], theta=theta), frozenset((key,)))
     if any(_needs(tried[k].found) > _needs(stages[k].found) for k in others):
-        without = {k: search(stages[k], frozenset((key,))) for k in naming}
+        without = {k: search(stages[k], frozenset((key,))) for k in with_it}
         heavier = 1 + sum(_needs(stages[k].found) - 1 for k in agreeing) + sum(_needs(tried[k].found) for k in others)
         if sum(_needs(without.get(k, stages[k]).found) for k in carrying) < heavier:
             tried = without
@@ -189,8 +190,13 @@ def _settle(stages: list[Stage], key: EffectKey, search: Search) -> None:
         stages[k] = stage
 
 
-def _named(result: StageResult, key: EffectKey) -> Candidate | None:
-    return next((kept.candidate for kept in result.named if kept.candidate.key == key and not kept.ties), None)
+def _mass(result: StageResult, key: EffectKey) -> Candidate | None:
+    """The mass of an axis that has a value for it."""
+    return next((candidate for candidate in result.fit.candidates if candidate.key == key), None)
+
+
+def _is_named(result: StageResult, key: EffectKey) -> bool:
+    return any(kept.candidate.key == key and not kept.ties for kept in result.named)
 
 
 def _deviation(result: StageResult, mass: Candidate) -> float:
