@@ -61,6 +61,7 @@ class ProofOutcome:
     carried: list[ResidualModelResult] = field(default_factory=list)
     near_misses: list[NearMissResult] = field(default_factory=list)
     refused: dict[EffectKey, Reason] = field(default_factory=dict)
+    adjusted: dict[EffectKey, Candidate] = field(default_factory=dict)
 
 
 def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
@@ -97,7 +98,27 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         if stage.problem.stage != "links" and not at_floor(result.final_rmse if proven else result.nominal_rmse):
             _describe(case, stage, proven, outcome)
     outcome.repaired, outcome.named = with_coupled_values(case, known, outcome.repaired, outcome.named)
+    outcome.notes += _adjusted_notes(case, outcome)
     return _without_estimates(case, outcome)
+
+
+def _adjusted_notes(case: Case, outcome: ProofOutcome) -> list[str]:
+    """What the plant has without a name, with its values, and what it does not need beside the names."""
+    theta, shown, left_out, links = outcome.repaired.vector(), list[str](), list[str](), list[str]()
+    for key, candidate in outcome.adjusted.items():
+        where = f"{candidate.effect.name} on {candidate.target}"
+        if outcome.repaired.effect(*key) == case.plant.effect(*key):
+            left_out.append(where)
+        elif not candidate.effect.fitted:
+            links.append(candidate.target)
+        else:
+            values = ", ".join(f"{u.key} = {theta[u.places[0]]:.4g}" for u in candidate.unknowns)
+            shown.append(f"{where} is adjusted in the plant without a name: {values}")
+    if links:
+        shown.append(f"inertial parameters of the links of {', '.join(links)} are adjusted in the plant without a name")
+    if left_out:
+        shown.append(f"not in the plant, because the motion of the whole arm does not need it: {', '.join(left_out)}")
+    return shown
 
 
 def _without_estimates(case: Case, outcome: ProofOutcome) -> ProofOutcome:
@@ -255,13 +276,7 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, Reason]:
             continue
         values = result.fit.values_of(candidate)
         outcome.repaired = outcome.repaired.with_effect(candidate.instance(values))
-        if not candidate.effect.fitted:
-            continue
-        shown = ", ".join(f"{u.key} = {v:.4g}" for u, v in zip(candidate.unknowns, values, strict=True))
-        outcome.notes.append(f"{candidate.effect.name} on {candidate.target} is adjusted in the plant without a name: {shown}")
-    links = [c.target for c in adjusted if not c.effect.fitted]
-    if links:
-        outcome.notes.append(f"inertial parameters of the links of {', '.join(links)} are adjusted in the plant without a name")
+        outcome.adjusted[candidate.key] = candidate
     known = _uncertainty(result.stage_fit.decision.model, outcome.repaired)
     outcome.repaired = outcome.repaired.with_uncertainty(known) if known.places else outcome.repaired
     return refused

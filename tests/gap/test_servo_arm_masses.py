@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from servo_arms import arm_text, drafted
+from servo_arms import arm_text, commands, drafted, recording_of
 
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.fit import Fit, place
 from sysid.gap.prepare.case import Stage
 from sysid.gap.problem import Split, drive_problem
-from sysid.gap.result import EffectEvidence
+from sysid.gap.result import EffectEvidence, NamedEffect
 from sysid.gap.servo import arm as servo_arm
-from sysid.gap.servo.arm import beside_each_other, with_link_masses
+from sysid.gap.servo.arm import beside_each_other, with_coupled_values, with_link_masses
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.plant import compile_plant, nominal_plant
+from sysid.machine import KnownEffect
+from sysid.plant import compile_plant, free_run, nominal_plant
 
 KEY = ("link_mass_error", "j2", None)
 
@@ -186,3 +187,24 @@ def test_axes_that_agree_on_a_mass_are_not_searched_again(arm: Arm) -> None:
         raise AssertionError(stage.label)
 
     assert set(map(tuple, names(with_link_masses(stages, search)).values())) == {("link_mass_error",)}
+
+
+@pytest.mark.parametrize("true", [1.0, 1.5], ids=["compensates", "is there"])
+def test_what_the_names_do_not_need_leaves_the_plant_although_something_is_missing(arm: Arm, true: float) -> None:
+    mass = KnownEffect("link_mass_error", "j2", {"ratio": 0.8})
+    armature = KnownEffect("armature_error", "j1", {"ratio": 1.5})
+    machine, dt = arm.plant.machine, 0.01
+    wanted = commands(3, 600, dt)
+    truth = arm.plant.with_effect(mass).with_effect(KnownEffect("armature_error", "j1", {"ratio": true}))
+    run = free_run(truth, recording_of(wanted, wanted, dt, machine))
+    joints = np.column_stack([run[f"{name}.joint"] for name in machine.axis_names])
+    joints[:, 0] += 0.01 * np.sin(3.0 * np.arange(600) * dt)  # which no effect of the plant explains
+    seen = (recording_of(wanted, joints, dt, machine),)
+    noise = {f"{name}.joint": 1e-4 for name in machine.axis_names}
+    case: Any = SimpleNamespace(plant=arm.plant, theta=arm.theta, adapter=None, noise=noise, split=SimpleNamespace(seen=seen))
+    stages = [arm.stage("j1", ("armature_error", 1.5)), arm.stage("j2", ("link_mass_error", 0.8))]
+    named = NamedEffect("link_mass_error", "j2", {"ratio": 0.8}, {"ratio": (0.79, 0.81)}, 1.0)
+    plant, names = with_coupled_values(case, stages, arm.plant.with_effect(mass).with_effect(armature), [named])
+    assert names == [named]
+    assert plant.effect("link_mass_error", "j2") == mass
+    assert plant.effect("armature_error", "j1") == (armature if true == 1.5 else None)

@@ -9,8 +9,8 @@ what one of them finds, with a name or adjusted, is put into the others, which a
 more effects with it.
 
 Values: each axis by itself decides which effects there are, beside the motion of the others and a discrepancy that takes a
-share of what an effect explains. Where the plant with all of them explains the recordings to within noise, the values are those
-of least squares of the free run of all axes together.
+share of what an effect explains. What is adjusted beside the names has to lower the error of the free run of all axes together.
+Where the plant explains the recordings to within noise, its values are those of least squares of that free run.
 """
 
 from __future__ import annotations
@@ -220,10 +220,10 @@ def _needs(result: StageResult) -> int:
 def with_coupled_values(
     case: Case, stages: Sequence[Stage], repaired: Plant, named: Sequence[NamedEffect]
 ) -> tuple[Plant, list[NamedEffect]]:
-    """Plant and names with the values of the coupled free run; as they are where it does not explain the recordings.
+    """Plant and names with the values of the coupled free run; with their own where it does not explain the recordings.
 
     Effects that one axis adjusts beside its names, against the motion of the others, are left out where the names alone explain
-    the recordings as well.
+    the recordings as well, to within noise or not.
     """
     model = compile_plant(repaired) if case.adapter is None else None
     changed = _changed(case, stages, repaired) if model is not None and model.coupled else []
@@ -239,9 +239,10 @@ def with_coupled_values(
             plant = plant if candidate.key in names else _as_before(case.plant, plant, candidate.key)
         fewer = _fitted(case, plant, alone)
         if fewer.criterion <= best.criterion:
-            best, uncertainty = fewer, uncertainty.without({c.key for c in changed} - {*names})
+            best, repaired = fewer, plant
+            uncertainty = uncertainty.without({c.key for c in changed} - {*names})
     if not best.explains:
-        return repaired, list(named)
+        return repaired.with_uncertainty(uncertainty), list(named)
     for instance in best.instances:
         if (name := names.get(effect_key(instance))) is not None:
             names[effect_key(instance)] = _moved(name, instance)
