@@ -128,13 +128,13 @@ class LeastSquares(FreeRun):
                 self.proposals.fit(rest, np.concatenate([model.values_of(c) for c in rest])[None])
 
 
-def free_run_of(rows: StageRows, discrepancy: Discrepancy, candidates: Sequence[Candidate]) -> LeastSquares:
+def free_run_of(rows: StageRows, no_discrepancy: Discrepancy, candidates: Sequence[Candidate]) -> LeastSquares:
     """Fits of ``candidates`` to the free run of a stage: the likelihood of independent errors of one noise floor."""
     none = NO_DISTURBANCE
     white = tuple(Disturbance(float(f), none * float(f), none * float(f), 1.0, none * float(f), 1.0) for f in rows.floor)
     variances = Variances(white, np.zeros(0), np.ones(rows.count))
     calm = [np.zeros(len(s.step)) for s in rows.series]
-    likelihood = StageLikelihood(rows, discrepancy.absent, variances, calm, _clusters(rows), False, CONVERGED)
+    likelihood = StageLikelihood(rows, no_discrepancy, variances, calm, _clusters(rows), False, CONVERGED)
     return LeastSquares(Proposals(likelihood, candidates))
 
 

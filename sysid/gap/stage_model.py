@@ -13,7 +13,7 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import smallest_sets
 from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
-from sysid.gap.likelihood.discrepancy import discrepancy_of
+from sysid.gap.likelihood.discrepancy import discrepancy_of, timing_alone
 from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import STATIC_SPAN, StageRows, averaged, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
@@ -174,7 +174,8 @@ def search_stage(
     extra = _transients(rows)
     # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
     excited = [c for c in candidates if c.label in nameable]
-    free = free_run_of(rows, discrepancy_of(model, rows, theta, timing).absent, excited)
+    nothing = timing_alone(rows, timing)
+    free = free_run_of(rows, nothing, excited)
     sets = smallest_sets(free.sets(), free.priced) if problem.integrates else [free.proposals.fit(())]
     known = dict(free.proposals.fits)
     discrepancy = discrepancy_of(model, rows, theta, timing)
@@ -192,7 +193,7 @@ def search_stage(
     proposals = Proposals(likelihood, candidates, on_fit, known)
     proposals.warm(rich.candidates, rich)
 
-    bare = StageLikelihood(rows, discrepancy.absent, replace(variances, groups=np.zeros(0)), extra)
+    bare = StageLikelihood(rows, nothing, replace(variances, groups=np.zeros(0)), extra)
     sagging, smallest = sags(model.machine, problem, excited), tuple(f.labels for f in sets)
     search = StageSearch(proposals, free, start, bare, tuple(excited), tuple(nameable), sagging, smallest)
     proposals.forward(proposals.best)

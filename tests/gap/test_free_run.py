@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from regression_stage import NOISE, SIGNAL, candidate, likelihood, problem, recordings, rows_of
+from regression_stage import NOISE, SIGNAL, candidate, problem, recordings, rows_of
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import pays
 from sysid.gap.free_run import LeastSquares, free_run_of
+from sysid.gap.likelihood.discrepancy import timing_alone
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, fit_model
 
@@ -19,7 +20,7 @@ F, G, TWIN = candidate(0), candidate(1), candidate(2)
 
 def fitted(theta: tuple[float, float, float], *offered: Candidate) -> LeastSquares:
     rows = rows_of(theta, seed=0)
-    return free_run_of(rows, likelihood(rows).discrepancy, offered or (F, G, TWIN))
+    return free_run_of(rows, timing_alone(rows, 0.0), offered or (F, G, TWIN))
 
 
 def with_value(free: LeastSquares, effect: Candidate, value: float) -> ModelFit:
@@ -102,7 +103,7 @@ def test_an_effect_pays_where_it_acts() -> None:
         table[SIGNAL] = (table[SIGNAL] if acts else NOISE * np.random.default_rng(k).standard_normal(len(table))) + lacking
         found.append(replace(take, table=table))
     rows = StageRows(problem(), found, np.zeros(3), np.array([NOISE]))
-    free = free_run_of(rows, likelihood(rows).discrepancy, (F, G, TWIN))
+    free = free_run_of(rows, timing_alone(rows, 0.0), (F, G, TWIN))
     one, nothing = free.proposals.fit((F,)), free.proposals.fit(())
     assert not pays(nothing.left, free.left(one))
     assert pays(nothing.left, free.priced(one))

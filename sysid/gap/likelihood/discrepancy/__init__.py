@@ -10,6 +10,6 @@ for gaps of the basis. A group with a large variance shows on which variable the
 
 from __future__ import annotations
 
-from sysid.gap.likelihood.discrepancy.basis import Discrepancy, discrepancy_of
+from sysid.gap.likelihood.discrepancy.basis import Discrepancy, discrepancy_of, timing_alone
 
-__all__ = ["Discrepancy", "discrepancy_of"]
+__all__ = ["Discrepancy", "discrepancy_of", "timing_alone"]

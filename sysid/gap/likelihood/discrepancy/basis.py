@@ -34,10 +34,14 @@ class Discrepancy:
     groups: tuple[str, ...]
     timing: Array
 
-    @property
-    def absent(self) -> Discrepancy:
-        """The timing alone."""
-        return Discrepancy(np.zeros((len(self.timing), 0), np.float32), np.zeros(0, dtype=np.int64), (), self.timing)
+
+def timing_alone(rows: StageRows, timing: float) -> Discrepancy:
+    """No discrepancy but the error of timing; ``timing``: its standard deviation [s]."""
+    late = np.zeros(rows.count)
+    for k, s in enumerate(rows.series):
+        moves = rows.recordings[k // len(rows.problem.signals)].kind == "motion"
+        late[s.rows] = timing * _slope(s.measured, s.time) if moves else 0.0
+    return Discrepancy(np.zeros((rows.count, 0), np.float32), np.zeros(0, dtype=np.int64), (), late)
 
 
 def discrepancy_of(model: Model, rows: StageRows, theta: Array, timing: float) -> Discrepancy:
@@ -45,7 +49,7 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array, timing: float) -
     problem = rows.problem
     make = _maker(model, rows, theta)
     groups, sizes = tuple[str, ...](), list[int]()
-    table, late = np.empty((rows.count, 0), np.float32), np.zeros(rows.count)
+    table = np.empty((rows.count, 0), np.float32)
     at = 0
     signals = len(problem.signals)
     for recording in rows.recordings:
@@ -60,11 +64,8 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array, timing: float) -
             for k in range(signals):
                 table[rows.series[at + k].rows, first : first + size] = means[:, :, k].T
             first += size
-        for k in range(signals):
-            s = rows.series[at + k]
-            late[s.rows] = timing * _slope(s.measured, s.time) if recording.kind == "motion" else 0.0
         at += signals
-    return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, late)
+    return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing_alone(rows, timing).timing)
 
 
 def _maker(model: Model, rows: StageRows, theta: Array) -> Callable[[Recording], Columns]:
