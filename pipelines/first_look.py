@@ -26,7 +26,7 @@ AUTOLOG = Path(__file__).resolve().parents[1] / "datasets" / "autolog"
 
 def main(workspace: Path, logs: Path = AUTOLOG, recipe: NetworkRecipe | None = None) -> Path:
     """Run the whole line on ``logs`` and return the path of ``<workspace>/demo/result.json``."""
-    recipe = recipe or NetworkRecipe()  # the paper's
+    recipe = recipe or NetworkRecipe()
     place, out = sysid.open(workspace), Printer()
     folder = place.root.make("demo")
     step = PipelineProgress(out)

@@ -15,7 +15,7 @@ from sysid.datasets import Dataset
 from sysid.networks import Checkpoints, EnsembleMember, NetworkRecipe, train
 from sysid.networks.actuator import actuator_rows
 from sysid.networks.mlp import Rectifier
-from sysid.networks.recipe import parse_recipe
+from sysid.networks.recipe import PAPER_ACTUATOR_TRAINING, parse_recipe
 from sysid.networks.split import gather, segments, thin
 from sysid.validate.baselines import Predict, baseline_models, linkage_geometry
 
@@ -90,7 +90,7 @@ def networks(every: list[Task], size: int, checkpoints: Checkpoints | None = Non
         for task in every
         for rectifier in RECTIFIERS
     ]  # fmt: skip
-    trained = iter(train(members, recipe.hidden, longer(recipe.training, SIZES[-1] / size), 0, checkpoints=checkpoints))
+    trained = iter(train(members, recipe.hidden, longer(PAPER_ACTUATOR_TRAINING, SIZES[-1] / size), 0, checkpoints=checkpoints))
     found: dict[str, dict[str, Predict]] = {}
     for task in every:
         found[task.name] = {f"network, {rectifier}": _column(next(trained).mlp.predict) for rectifier in RECTIFIERS}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from paper.rows import FORWARD_MAX, PaperRow
 from sysid.datasets import Dataset
 from sysid.networks import NetworkRecipe, fit_actuator, fit_forward
+from sysid.networks.recipe import PAPER_ACTUATOR_TRAINING
 from sysid.registry import ModelVersion
 from sysid.signals import point_signals
 from sysid.validate import ValidationReport, validate_model
@@ -29,7 +30,8 @@ class PaperNetworks:
 
 def fit_networks(place: Workspace, dataset: Dataset) -> PaperNetworks:
     """Fit, validate and register the paper's networks; those of an earlier run are not fitted again."""
-    recipe = NetworkRecipe()
+    default = NetworkRecipe()
+    recipe = replace(default, actuator=replace(default.actuator, training=PAPER_ACTUATOR_TRAINING))
     known = [place.network_version(dataset, kind) for kind in ("actuator", "forward")]
     models = [
         fit(dataset, recipe) if version is None else place.network(version.reference)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.argument("kind", type=click.Choice(["actuator", "motion", "forward"]))
 @click.argument("references", nargs=-1, required=True, metavar="NAME[@VERSION]…")
 @click.option(
-    "--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Keys that differ from the paper's."
+    "--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Keys that differ from the default."
 )
 @workers_option
 @cluster_option("For several datasets: address of a Dask scheduler, as tcp://HOST:PORT.")
