@@ -138,11 +138,9 @@ class Model:
         """Joint of servo axis ``i``, beside the measured motion of the other joints: (lanes, n)."""
         dt, series = 1.0 / recording.rate_hz, servo_series(self.machine, self.arrays, self.theta, recording)
         out, begins = np.full((len(thetas), len(command)), np.nan), series.begins(i)
-        inputs = i, self.machine.command_shift(self.machine.axis_names[i]), segments.tobytes()
         alike = dict[bytes, list[int]]()  # lanes that have the series in common
         for k, theta in enumerate(thetas):
-            if not series.runs.read(inputs, theta, out[k]):
-                alike.setdefault(mass_ratios(self.arrays, theta).tobytes(), []).append(k)
+            alike.setdefault(mass_ratios(self.arrays, theta).tobytes(), []).append(k)
         most = min(TOGETHER, -(-sum(map(len, alike.values())) // free_cores()))
         groups = [part[k : k + most] for part in alike.values() for k in range(0, len(part), most)]
 
@@ -150,9 +148,7 @@ class Model:
             lanes, size = thetas[groups[m]], layout.axis_memory(dt)
             runs = np.full((len(lanes), len(command)), np.nan)
             servo_axis.drive_servo(lanes, self.arrays, i, command, series.of(i, lanes[0]), *begins, segments, dt, size, runs)
-            for k, theta, run in zip(groups[m], lanes, runs, strict=True):
-                out[k] = run
-                series.runs.keep(inputs, theta, run)
+            out[groups[m]] = runs
 
         in_parallel(group, len(groups), len(command) * most)
         return out

@@ -16,7 +16,6 @@ from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.plant import servo_law
 from sysid.plant.arm_dynamics import link_series, mass_ratios
-from sysid.plant.known_runs import KnownRuns
 from sysid.plant.layout import axis_memory
 from sysid.plant.machine_arrays import LEAD, MachineArrays
 from sysid.plant.servo_arm import LONGEST, run_servos, workspace
@@ -78,12 +77,11 @@ class LinkSeries:
 
     The joints move as the free run of the plant does between the samples, and as they were measured over longer times: samples
     do not show the accelerations after a step of a command. The series are linear in the inertial parameters of each body:
-    what each adds is computed once, when first needed. ``runs``: of the axes with these series.
+    what each adds is computed once, when first needed.
     """
 
     def __init__(self, machine: Machine, arrays: MachineArrays, theta: Array, recording: Recording) -> None:
         self.arrays, self._links, self._lock = arrays, dict[int, Array](), threading.Lock()
-        self.runs = KnownRuns(len(recording))
         names, rate = machine.axis_names, recording.rate_hz
         lead, (fine, own) = arrays.axes[:, LEAD], _steps(arrays, recording)
         (places, speeds, self._undamped), runs = _simulated(machine, arrays, theta, recording, fine)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -24,6 +26,8 @@ BIN = 0.04
 BLOCK = 5.0
 #: Inputs and outputs of static stages are averaged over this time [s]; others keep their rate.
 STATIC_SPAN = 0.1
+#: Most bytes of residuals that a stage keeps.
+KEPT = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,7 @@ class StageRows:
         for s in self.series:
             self.recording_of_block[self.block[s.rows]] = s.recording
         self.theta = theta
+        self._known = _Known()
         self.present = np.concatenate([s.present for s in self.series])
         self.nominal = np.zeros(begin)
         self.nominal = self.residuals(theta[None])[0]
@@ -126,15 +131,19 @@ class StageRows:
 
     def residual_parts(self, thetas: Array) -> Iterator[tuple[slice, Array]]:
         """:meth:`residuals` recording by recording: its rows, and the residuals there, (lanes, n)."""
-        signals = len(self.problem.signals)
+        signals, names = len(self.problem.signals), [theta.tobytes() for theta in thetas]
         for r, recording in enumerate(self.recordings):
             series = self.series[r * signals : (r + 1) * signals]
             here = slice(series[0].rows.start, series[-1].rows.stop)
-            measured = np.ascontiguousarray(self.problem.measured(recording))
-            predicted = np.ascontiguousarray(self.problem.predict(thetas, recording))
-            out = np.empty((len(thetas), here.stop - here.start))
-            _residuals(measured, predicted, series[0].width, self.present[here], self.nominal[here], out)
-            yield here, out
+            known = self._known.of([(r, name) for name in names])
+            new = {name: theta for name, theta in zip(names, thetas, strict=True) if (r, name) not in known}
+            if new:
+                measured = np.ascontiguousarray(self.problem.measured(recording))
+                predicted = np.ascontiguousarray(self.problem.predict(np.array(list(new.values())), recording))
+                out = np.empty((len(new), here.stop - here.start))
+                _residuals(measured, predicted, series[0].width, self.present[here], self.nominal[here], out)
+                known |= self._known.keep({(r, name): row for name, row in zip(new, out, strict=True)})
+            yield here, np.stack([known[r, name] for name in names])
 
     def scaled(self, columns: Array) -> Array:
         """Columns (rows, m) in noise floors; zero where not measured."""
@@ -175,6 +184,35 @@ class StageRows:
             first, parts_of = known[s.recording]
             block[s.rows] = first + parts_of
         return block
+
+
+class _Known:
+    """The latest residuals of single recordings: a search compares the same sets of effects under several variances.
+
+    They are known by the index of the recording and the bytes of the parameter vector.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._rows, self._size = threading.Lock(), OrderedDict[tuple[int, bytes], Array](), 0
+
+    def of(self, keys: Sequence[tuple[int, bytes]]) -> dict[tuple[int, bytes], Array]:
+        """Those of ``keys`` that are known."""
+        with self._lock:
+            found = {key: self._rows[key] for key in keys if key in self._rows}
+            for key in found:
+                self._rows.move_to_end(key)
+        return found
+
+    def keep(self, rows: dict[tuple[int, bytes], Array]) -> dict[tuple[int, bytes], Array]:
+        """Keep ``rows``, and return them; those that were not asked for the longest time leave."""
+        with self._lock:
+            for key, row in rows.items():
+                self._rows[key] = row.copy()
+                self._size += row.nbytes + len(key[1])
+            while self._size > KEPT:
+                (_, name), row = self._rows.popitem(last=False)
+                self._size -= row.nbytes + len(name)
+        return rows
 
 
 @kernel

@@ -12,6 +12,7 @@ from regression_stage import NOISE, SIGNAL, functions, problem, recordings, rows
 
 from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
+from sysid.gap.likelihood import rows as rows_module
 from sysid.gap.likelihood.rows import BIN, BLOCK, STATIC_SPAN, StageRows, averaged, averaged_out, bin_means
 from sysid.gap.problem import STATIC, drive_problem
 from sysid.plant import compile_plant
@@ -153,3 +154,23 @@ def test_what_is_left_is_that_of_the_samples_whatever_is_averaged() -> None:
 
 def _read(values: np.ndarray, step: float) -> np.ndarray:
     return values if step == 0.0 else np.round(values / step) * step
+
+
+@pytest.mark.parametrize("kept", [0, 1_200, 64_000_000], ids=["nothing", "little", "everything"])
+def test_residuals_that_are_known_are_those_of_a_prediction(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many are kept; with those of one vector twice in a call, and although a caller changes what it got."""
+    monkeypatch.setattr(rows_module, "KEPT", kept)
+    asked: list[int] = []
+    whole, seen = problem(), recordings((0.5, 0.0, 0.0))
+    counting = replace(whole, predict=lambda thetas, r: [asked.append(len(thetas)), whole.predict(thetas, r)][1])  # type: ignore[func-returns-value]
+    rows = StageRows(counting, seen, np.zeros(3), np.array([NOISE]))
+    thetas = np.random.default_rng(0).normal(size=(5, 3))[[0, 1, 2, 1, 3, 0]]
+    expected = [StageRows(whole, seen, np.zeros(3), np.array([NOISE])).residuals(theta[None])[0] for theta in thetas]
+    for some in ([0, 1], [1, 2, 3], [3, 0, 4, 5], [2, 4]):
+        asked.clear()
+        found = rows.residuals(thetas[some])
+        np.testing.assert_allclose(found, np.array(expected)[some], rtol=0.0, atol=1e-12)
+        found[:] = np.nan
+        for _, part in rows.residual_parts(thetas[some]):
+            part[:] = np.nan
+    assert sum(asked) == 0 or kept < 64_000_000
