@@ -72,7 +72,8 @@ with_or_without_a_name = pytest.mark.parametrize("has", [lambda stage: stage, ad
 
 
 @pytest.fixture
-def arm(tmp_path: Any) -> Arm:
+def arm(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Arm:
+    monkeypatch.setattr(servo_arm, "_is_moved_by", lambda stage, mass, value: True)
     return Arm(tmp_path)
 
 
@@ -165,6 +166,30 @@ def test_a_mass_that_the_axes_before_contradict_is_searched_without(arm: Arm, ha
         return Stage(stage.problem, stage.split, stage.sigma, stage.theta, arm.result(stage, axis, *needs))
 
     assert effects(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["stiffness_error"]}
+
+
+def test_axes_that_a_mass_does_not_move_are_not_searched_again(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(servo_arm, "_is_moved_by", lambda stage, mass, value: stage.problem.target != "j0")
+    stages = [arm.stage("j0"), arm.stage("j1", ("armature_error", 1.4)), arm.stage("j2", ("link_mass_error", 1.3))]
+    asked: list[str] = []
+
+    def search(stage: Stage, refuted: frozenset[Any]) -> Stage:
+        asked.append(stage.problem.target)
+        return Stage(stage.problem, stage.split, stage.sigma, stage.theta, arm.result(stage, stage.problem.target))
+
+    assert effects(with_link_masses(stages, search)) == {"j0": [], "j1": [], "j2": ["link_mass_error"]}
+    assert asked == ["j1"]
+
+
+def test_a_mass_moves_an_axis_by_what_its_noise_shows(tmp_path: Any) -> None:
+    arm, dt = Arm(tmp_path), 0.01
+    wanted = commands(3, 600, dt)
+    run = free_run(arm.plant, recording_of(wanted, wanted, dt, arm.plant.machine))
+    joints = np.column_stack([run[f"{name}.joint"] for name in arm.plant.machine.axis_names])
+    seen = recording_of(wanted, joints, dt, arm.plant.machine)
+    stage = replace(arm.stage("j1"), split=Split((seen,), (), ()), sigma=np.array([1e-3]))
+    mass = arm.candidates[KEY[:2]]
+    assert [servo_arm._is_moved_by(stage, mass, np.array([ratio])) for ratio in (1.0001, 1.5)] == [False, True]
 
 
 def test_a_name_decides_on_a_mass_before_a_value_without_one(arm: Arm) -> None:

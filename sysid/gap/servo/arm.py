@@ -5,8 +5,8 @@ small effects are adjusted in its place. A few effects of each axis are therefor
 the right ones does not matter to the motion.
 
 Masses: the mass of a link looks like a gain or an armature on one axis by itself. It is one value for all axes before the link:
-what one of them finds, with a name or adjusted, is put into the others, which are searched again. It stays if the arm needs no
-more effects with it.
+what one of them finds, with a name or adjusted, is put into the others; those that it moves are searched again. It stays if the
+arm needs no more effects with it.
 
 Values: each axis by itself decides which effects there are, beside the motion of the others and a discrepancy that takes a
 share of what an effect explains. What is adjusted beside the names has to lower the error of the free run of all axes together.
@@ -146,10 +146,23 @@ def _error(stage: Stage) -> float:
 
 
 def _has_moved(before: Stage, after: Stage) -> bool:
-    """Whether an axis with its result moves otherwise beside another motion of the arm, by what raises its error by a tenth."""
+    """Whether an axis with its result moves otherwise beside another motion of the arm."""
     theta = before.found.fit.theta[None]
-    runs = [(after.problem.predict(theta, r), before.problem.predict(theta, r)) for r in before.split.seen]
-    return not at_floor(math.hypot(1.0, spread_of([(one - other) / before.sigma for one, other in runs])))
+    return _differ(before, *([stage.problem.predict(theta, r) for r in before.split.seen] for stage in (before, after)))
+
+
+def _is_moved_by(stage: Stage, mass: Candidate, value: Array) -> bool:
+    """Whether an axis with its result moves otherwise with another mass."""
+    theta = stage.found.fit.theta
+    both = np.stack([theta, place(theta, mass.unknowns, value[None])[0]])
+    runs = [stage.problem.predict(both, r) for r in stage.split.seen]
+    return _differ(stage, [run[:1] for run in runs], [run[1:] for run in runs])
+
+
+def _differ(stage: Stage, one: Sequence[Array], other: Sequence[Array]) -> bool:
+    """Whether two motions of an axis differ by what raises its error by a tenth."""
+    away = [(first - second) / stage.sigma for first, second in zip(one, other, strict=True)]
+    return not at_floor(math.hypot(1.0, spread_of(away)))
 
 
 def _is_clear(result: StageResult) -> bool:
@@ -159,7 +172,7 @@ def _is_clear(result: StageResult) -> bool:
 
 
 def with_link_masses(stages: Sequence[Stage], search: Search) -> tuple[Stage, ...]:
-    """The stages; from the tip to the base, axes that do not find a mass that another one finds are searched again with it."""
+    """The stages; from the tip to the base, axes that a mass moves which another one finds are searched again with it."""
     found = list(stages)
     chain = max((stage.problem.carried for stage in stages), key=len, default=())
     for link in reversed(chain):
@@ -176,15 +189,15 @@ def _settle(stages: list[Stage], key: EffectKey, search: Search) -> None:
     owner = min(with_it, key=lambda k: (not _is_named(stages[k].found, key), _deviation(stages[k].found, with_it[k])))
     agreeing = {k for k, mass in with_it.items() if _agree(stages[owner].found, with_it[owner], stages[k].found, mass)}
     value = stages[owner].found.fit.values_of(with_it[owner])
-    others = [k for k in carrying if k not in agreeing]
+    others = [k for k in carrying if k not in agreeing and _is_moved_by(stages[k], with_it[owner], value)]
     tried = {}
     for k in others:
         theta = place(stages[k].theta, with_it[owner].unknowns, value[None])[0]
         tried[k] = search(replace(stages[k], theta=theta), frozenset((key,)))
     if any(_needs(tried[k].found) > _needs(stages[k].found) for k in others):
         without = {k: search(stages[k], frozenset((key,))) for k in with_it}
-        heavier = 1 + sum(_needs(stages[k].found) - 1 for k in agreeing) + sum(_needs(tried[k].found) for k in others)
-        if sum(_needs(without.get(k, stages[k]).found) for k in carrying) < heavier:
+        lighter, heavier = (sum(_needs(some.get(k, stages[k]).found) for k in carrying) for some in (without, tried))
+        if lighter < heavier - len(agreeing) + 1:  # axes that agree on the mass need it once
             tried = without
     for k, stage in tried.items():
         stages[k] = stage
