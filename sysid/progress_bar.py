@@ -19,6 +19,8 @@ TITLE, BAR, LINE = 18, 14, 118
 SOONEST_S, LATEST_S = 1.0, 30.0
 #: Seconds between two drawings of the bar of a notebook, at least.
 REDRAWN_S = 0.2
+#: The rest is estimated after so many seconds and this share of the work, where the whole takes this long [s].
+ESTIMATED_S, ESTIMATED_SHARE, LONG_S = 5.0, 0.05, 10.0
 #: How often the plain lines look for something to print [s].
 _POLL_S = 0.5
 
@@ -27,8 +29,9 @@ _POLL_S = 0.5
 def progress_bar(title: str) -> Iterator[Progress]:
     """A callback that shows progress: in a notebook below the cell, which is empty again at the end; else on stderr.
 
-    In a terminal a bar, the time and the current step stay on one line of any width. Elsewhere (pipe, CI) every new step is a
-    line, at most one a second, and at least one every half minute; without control characters.
+    In a terminal a bar, the time, an estimate of the rest (:func:`rest`) and the current step stay on one line of any width.
+    Elsewhere (pipe, CI) every new step is a line, at most one a second, and at least one every half minute; without control
+    characters.
     """
     kind = _notebook if in_notebook() else _bar if sys.stderr.isatty() else _lines
     with kind(title) as progress:
@@ -61,6 +64,15 @@ def _notebook(title: str) -> Iterator[Progress]:
         drawn.update(notebook.HTML(""))
 
 
+def rest(done: float, seconds: float) -> str:
+    """How long the rest of the work takes if it goes on as in the ``seconds`` until now; empty for short work and at first."""
+    left = seconds * (1.0 - done) / done if done >= ESTIMATED_SHARE else 0.0
+    if left <= 0.0 or seconds < ESTIMATED_S or seconds + left < LONG_S:
+        return ""
+    size, unit = next((pair for pair in ((3600.0, "h"), (60.0, "min")) if left >= 1.5 * pair[0]), (1.0, "s"))
+    return f"about {max(left / size, 1.0):.0f} {unit} left"
+
+
 @contextlib.contextmanager
 def _bar(title: str) -> Iterator[Progress]:
     from rich.console import Console
@@ -77,13 +89,16 @@ def _bar(title: str) -> Iterator[Progress]:
         BarColumn(BAR),
         text_column("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
+        text_column("{task.fields[rest]}"),
         text_column("{task.description}", ratio=1),
     )
     with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
-        task = bar.add_task("", total=1.0, title=cut(visible(title, LINE), TITLE))
+        task = bar.add_task("", total=1.0, title=cut(visible(title, LINE), TITLE), rest="")
+        begin = time.monotonic()
 
         def report(done: float, text: str) -> None:
-            bar.update(task, completed=min(max(done, 0.0), 1.0), description=visible(text, LINE))
+            share = min(max(done, 0.0), 1.0)
+            bar.update(task, completed=share, description=visible(text, LINE), rest=rest(share, time.monotonic() - begin))
 
         yield report
 
@@ -143,7 +158,8 @@ class PlainLines:
     def _print(self, share: str, text: str) -> None:
         seconds = time.monotonic() - self._begin
         with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
-            line = f"{visible(self.title, LINE)}: {share} after {seconds:.0f} s  {visible(text, LINE)}"
+            left = f", {left}" if text and (left := rest(self._done, seconds)) else ""
+            line = f"{visible(self.title, LINE)}: {share} after {seconds:.0f} s{left}  {visible(text, LINE)}"
             sys.stderr.write(f"{cut(line.rstrip(), LINE)}\n")
             sys.stderr.flush()
         self._printed, self._new, self._any = time.monotonic(), False, True

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid import progress_bar
-from sysid.progress_bar import LINE, PlainLines, cut
+from sysid.progress_bar import LINE, PlainLines, cut, rest
 
 SCRIPT = """
 import time
@@ -72,7 +72,26 @@ def test_without_a_terminal_a_step_is_a_line_and_not_every_update(
     written = capsys.readouterr().err.splitlines()
     assert [re.search(r"after (\d+) s", line)[1] for line in written] == ["1", "31", "60", "90", "119"]  # type: ignore[index]
     assert written[0].startswith("gap:   1 % after 1 s  stage 0: fit ")
+    assert written[1].startswith("gap:  26 % after 31 s, about 89 s left  stage 0: fit ")
     assert written[-1] == "gap: done  after 119 s"
+
+
+@pytest.mark.parametrize(
+    ("done", "seconds", "expected"),
+    [
+        (0.5, 4.9, ""),  # too early
+        (0.04, 60.0, ""),  # too little done to say anything
+        (0.8, 6.0, ""),  # short work
+        (0.5, 5.0, "about 5 s left"),
+        (0.1, 9.0, "about 81 s left"),
+        (0.1, 12.0, "about 2 min left"),
+        (0.05, 600.0, "about 3 h left"),
+        (1.0, 60.0, ""),
+        (0.0, 60.0, ""),
+    ],
+)
+def test_the_rest_is_estimated_for_long_work(done: float, seconds: float, expected: str) -> None:
+    assert rest(done, seconds) == expected
 
 
 def test_long_silent_work_gives_a_line_every_half_minute(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
