@@ -108,12 +108,10 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
 def show_responses(out: Printer, dataset: Dataset) -> list[dict[str, Any]]:
     """What the recordings show of each axis without a model; returns it as values for JSON."""
     from sysid.datasets.quality.responses import responses_of
-    from sysid.figures import Table
-    from sysid.reports.sections.responses import response_rows
+    from sysid.reports.sections.responses import response_table
 
     responses = responses_of(dataset)
-    header = ("without a model", "delay", "command", "motion begins at", "speed at full")
-    out.show(Table(header, response_rows(responses), (1, 3, 4)))
+    out.show(response_table(responses, "without a model"))
     return [asdict(response) for response in responses]
 
 

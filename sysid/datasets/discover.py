@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,7 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.foreign import is_unicode
 from sysid.logs.lerobot import LeRobotReader, data_files, is_lerobot
 from sysid.logs.limits import check_file
-from sysid.logs.reader import ReadOptions, read_confined
+from sysid.logs.reader import ReadOptions, Stream, read_confined
 from sysid.logs.readers import is_log, reader_for
 from sysid.logs.rosbag import side_files
 from sysid.names import check_file_name
@@ -127,7 +128,11 @@ def _places(path: Path, recipe: IngestRecipe | None) -> Iterator[tuple[str, Path
     folders = sorted(entry for entry in path.iterdir() if entry.is_dir()) if not is_lerobot(path) else []
     for folder in folders or [path]:
         if is_lerobot(folder):
-            yield from ((file.parent.name, file) for file in data_files(folder))
+            prefix = "" if folder == path else f"{folder.name}-"
+            for file in data_files(folder):
+                yield file.parent.name, file
+                with contextlib.suppress(InputError):  # which is said where it is read
+                    yield from ((f"{prefix}{stream.name}", file) for stream in _episodes_in(file))
         else:
             yield from ((folder.resolve().name, file) for file in sorted(folder.iterdir()) if is_log(file))
 
@@ -301,18 +306,25 @@ def episodes_of(folder: Path, recipe: IngestRecipe | None, prefix: str = "") -> 
         if recipe.recordings.leaves_out(file.parent.name, file.name):
             continue
         try:
-            streams = read_confined(LeRobotReader(), file, ReadOptions(columns=frozenset()))
+            streams = _episodes_in(file)
         except InputError as error:
             refused[f"{file.parent.name}/{file.name}"] = error
             continue
         for stream in streams:
             name = f"{prefix}{stream.name}"
+            if recipe.recordings.leaves_out(name, file.name):
+                continue
             entries = [entry for _, entry in _matched([file], file.parent, recipe, name) if entry is not None]
             own = tuple((file, _for_episode(entry, stream.name)) for entry in entries)
             if own:
                 result.append(RecordingFiles(name, _kind(name, recipe.recordings, folder), folder, own))
     check_refused(refused, len(files), "the recipe")
     return result
+
+
+def _episodes_in(file: Path) -> Sequence[Stream]:
+    """The episodes of a data file, without their columns."""
+    return read_confined(LeRobotReader(), file, ReadOptions(columns=frozenset()))
 
 
 def _for_episode(entry: StreamMap, episode: str) -> StreamMap:

@@ -42,13 +42,14 @@ class Chosen:
         name: of the dataset.
         lines: by what separates files with the same fields, topic (of a table its file's stem, or empty) and field → the line.
         apart: file → what separates it; files without an entry have the lines of the empty one.
-        without: file that can be read and is left out → why.
+        without: file that can be read and is left out → why; ``episodes``: recording of a file with several → why.
     """
 
     name: str
     lines: Mapping[str, Mapping[tuple[str, str], str]]
     apart: Mapping[Path, str]
     without: Mapping[Path, str]
+    episodes: Mapping[str, str]
 
 
 def draft_recipe(
@@ -77,9 +78,12 @@ def draft_recipe(
     names, single = recording_names(files, in_folders, [_sure(file, machine) for file in files])
     names |= {file.path: _damaged_name(file.path, {*names.values()} if single else None) for file in damaged}
     reasons = {file.path: refusal_of(file) for file in damaged} | dict(without)
-    if reasons:
-        lines += ["", *(f"# left out: {path.name}: {comment(why)}" for path, why in reasons.items()), "[recordings]"]
-        keys = (escape(f"{names[path]}/{path.name}") for path in reasons)
+    episodes_without = chosen.episodes if chosen is not None else {}
+    if reasons or episodes_without:
+        left = [*((path.name, why) for path, why in reasons.items()), *episodes_without.items()]
+        lines += ["", *(f"# left out: {name}: {comment(why)}" for name, why in left), "[recordings]"]
+        keys = [escape(f"{names[path]}/{path.name}") for path in reasons]
+        keys += [f"{escape(name)}/*" for name in episodes_without]
         lines += [f"left_out = [{', '.join(map(toml_value, dict.fromkeys(keys)))}]"]
     files = [file for file in files if file.path not in without]
     layouts = layouts_of(files, names, chosen.apart if chosen is not None else None)

@@ -162,7 +162,7 @@ class Recordings(Strict):
 
     Args:
         left_out: globs of ``recording/file`` that are not read although they are there, as damaged ones; of a LeRobot dataset
-            ``chunk-000/file-000.parquet``.
+            ``chunk-000/file-000.parquet``, or an episode, ``episode-000001/*``.
     """
 
     motion: tuple[str, ...] = ("*",)

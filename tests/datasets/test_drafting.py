@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +17,17 @@ from command_line import run
 from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from lerobot_files import FPS, write_lerobot
 from mcap.writer import Writer
 
+from sysid.datasets import Store, ingest
 from sysid.datasets.drafting import Description, describe, fields
 from sysid.datasets.drafting.fields import Answers
 from sysid.datasets.layouts import recording_names
+from sysid.datasets.quality.responses import responses_of
 from sysid.datasets.recipe import load_recipe
 from sysid.errors import InputError, SettingsError, SysidError
+from sysid.front.logs import draft
 from sysid.logs.csv import CsvReader
 from sysid.logs.inspection import inspect_file, inspect_here
 from sysid.machine import load_machine
@@ -368,6 +372,47 @@ def test_from_a_folder_to_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixtur
     capsys.readouterr()
     assert run(*verb) == 0
     assert "kept" in capsys.readouterr().out
+
+
+def imitation(folder: Path, lags: Sequence[float], noise: float = 0.05, episodes: int = 4, against: int | None = None) -> Path:
+    """A LeRobot dataset in two files whose joints follow their actions ``lags`` [s] later; one episode may go against them."""
+    made = []
+    for number in range(episodes):
+        rng, time = np.random.default_rng(number), np.arange(600) / FPS
+        columns = []
+        for lag in lags:
+            size, frequency, phase = rng.uniform(5.0, 25.0, 4), rng.uniform(0.05, 0.9, 4), rng.uniform(0.0, 6.0, 4)
+            action, state = (np.sin(2.0 * np.pi * np.outer(t, frequency) + phase) @ size for t in (time, time - lag))
+            columns.append((action, (-1.0 if number == against else 1.0) * state + rng.normal(0.0, noise, len(time))))
+        made.append((np.column_stack([a for a, _ in columns]), np.column_stack([s for _, s in columns])))
+    return write_lerobot(folder, made, [f"{name}.pos" for name in NAMES[: len(lags)]], files=2)
+
+
+def test_an_imitation_set_becomes_recordings_with_the_delay_of_every_joint(tmp_path: Path) -> None:
+    lags = (0.0, 0.02, 0.15, 0.3)
+    drafted = draft(imitation(tmp_path / "set", lags), "m", None, None, {"position_unit": "deg"}, None)
+    assert drafted.description.axes == NAMES[:4]
+    assert not drafted.description.left_out
+    drafted.write(tmp_path / "set")
+    dataset = ingest(tmp_path / "set", tmp_path / "ws")
+    assert sorted(recording.name for recording in dataset.recordings) == [f"episode-00000{k}" for k in range(4)]
+    for lag, response in zip(lags, responses_of(dataset), strict=True):
+        assert response.delay == pytest.approx(lag, abs=0.002)
+        assert response.delay95[0] <= lag <= response.delay95[1]
+        assert response.delays90 == pytest.approx((lag, lag), abs=0.003)
+
+
+def test_an_episode_that_goes_against_the_others_is_left_out_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = imitation(tmp_path / "set", (0.1,), against=1)
+    drafted = draft(folder, "m", None, None, {"position_unit": "deg", "left_out": "episode-000001"}, None)
+    assert [line.partition(":")[0] for line in drafted.description.left_out] == ["episode-000001"]
+    drafted.write(folder)
+    assert run("--workspace", tmp_path / "ws", "ingest", folder) == 0
+    assert "1 file left out by the recipe: episode-000001/file-000.parquet" in " ".join(capsys.readouterr().out.split())
+    dataset = Store(tmp_path / "ws").load("m")
+    assert sorted(recording.name for recording in dataset.recordings) == [f"episode-00000{k}" for k in (0, 2, 3)]
 
 
 def test_a_description_that_is_there_is_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -114,7 +114,8 @@ def _chosen(name: str, axes: Sequence[AxisDraft], recordings: Mapping[Path, str]
         lines[other] = {key: line for axis in in_its_units for key, line in _lines(axis)}
     apart = {path: recording for path, recording in recordings.items() if recording in others}
     left = {path: without[recording] for path, recording in recordings.items() if recording in without}
-    return Chosen(name, lines, apart, left)
+    episodes = {recording: why for recording, why in without.items() if recording not in recordings.values()}
+    return Chosen(name, lines, apart, left, episodes)
 
 
 def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDraft], list[str]]:

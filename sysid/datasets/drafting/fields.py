@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.layouts import TABLES
+from sysid.datasets.layouts import ONE_TABLE, TABLES
 from sysid.datasets.quality.noise import is_still
 from sysid.datasets.words import NO_SIGNAL, UNITS, WORDS, said, words_of
 from sysid.errors import SettingsError, nearest
 from sysid.logs.inspection import FileSummary
 from sysid.logs.labels import without_repeats
+from sysid.logs.lerobot import LeRobotReader
 from sysid.logs.reader import ReadOptions, Stream, read_confined
 from sysid.logs.readers import reader_named
 from sysid.numbers import LARGEST_COUNT
@@ -76,7 +77,7 @@ class Field:
 
 
 def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) -> list[Field]:
-    """The columns that change in any file, in the order of the files; stamps are left out.
+    """The columns that change in any file, in the order of the files; stamps are left out. An episode is a recording.
 
     Raises:
         InputError: a file that cannot be read.
@@ -86,12 +87,14 @@ def read_fields(files: Sequence[FileSummary], recordings: Mapping[Path, str]) ->
     for file in files:
         options = ReadOptions(header=file.columns, seconds=MAX_SECONDS, **file.stated)
         for stream in read_confined(reader_named(file.reader, file.path), file.path, options):
-            several = files_of[recordings[file.path]] > 1
-            topic = stream.name if file.reader not in TABLES else file.path.stem if several else ""
+            episode = file.reader == LeRobotReader().name
+            recording = stream.name if episode else recordings[file.path]
+            several = files_of[recordings[file.path]] > 1 and not episode
+            topic = stream.name if file.reader not in ONE_TABLE else file.path.stem if several else ""
             for name in (name for name in without_repeats(stream.columns) if not NO_SIGNAL.search(name)):
                 values = stream.columns[name]
                 known = np.where(np.abs(values) <= LARGEST_COUNT, values, np.nan)  # overflows
-                found.setdefault((topic, name), []).append(Series(recordings[file.path], _seconds(stream), known))
+                found.setdefault((topic, name), []).append(Series(recording, _seconds(stream), known))
                 units.setdefault((topic, name), stream.units.get(name))
                 tables |= {(topic, name)} if file.reader in TABLES else set()
     moving = {key: series for key, series in found.items() if not all(is_still(one.values) for one in series)}

@@ -187,6 +187,10 @@ def _moved_mass(motion: Motion) -> Response | None:
 
 #: Length of the blocks whose scatter gives the interval of a delay [s]; least number of them.
 BLOCK_S, BLOCKS = 10.0, 4
+#: A delay is exact to this share of a sample (the parabola between samples); to half of one where there are fewer blocks.
+EXACT = 0.05
+#: A block shows a delay of its own if it has this share of the usual motion, and of the correlation of all.
+MOVING, ALIKE = 0.2, 0.7
 #: Least correlation of command and speed for a delay.
 LEAST_CORRELATION = 0.2
 #: Window of the derivative of a position [s], and least number of its samples.
@@ -235,8 +239,10 @@ class AxisResponse:
     """What the recordings show of one axis.
 
     Args:
-        delay, delay95: between command and motion, by cross-correlation, with its 95 % interval [s]; NaN where they do not
-            correlate, or where a force is commanded.
+        delay, delay95: of the motion behind the command as the log has them, by cross-correlation, with its 95 % interval [s];
+            NaN where they do not correlate, or where a force is commanded. Up to a sample before it, where a log has as its
+            command what comes next.
+        delays90: between which delays nine tenths of all parts of :data:`BLOCK_S` are [s]; NaN where there are few.
         correlation: of both at that delay.
         positive, negative: directions of the command of a valve axis; else None.
         unit: SI unit of what the command drives.
@@ -245,6 +251,7 @@ class AxisResponse:
     axis: str
     delay: float
     delay95: tuple[float, float]
+    delays90: tuple[float, float]
     correlation: float
     positive: Direction | None
     negative: Direction | None
@@ -263,12 +270,12 @@ def responses_in(recordings: Sequence[Recording], machine: Machine, units: Mappi
         own = [r for r in recordings if {axis_signal(axis.name, "command"), axis.driven} <= {*r.signals}]
         if not own:
             continue
-        delay, interval, correlation = _delay(own, axis)
+        delay, interval, parts, correlation = _delay(own, axis)
         unit = units.get(axis.driven) or machine.expected_unit(axis.driven) or "1"
         positive = negative = None
         if axis.actuation == "velocity" and math.isfinite(delay):
             positive, negative = _directions(own, axis, delay)
-        found.append(AxisResponse(axis.name, delay, interval, correlation, positive, negative, unit))
+        found.append(AxisResponse(axis.name, delay, interval, parts, correlation, positive, negative, unit))
     return tuple(found)
 
 
@@ -283,9 +290,13 @@ def speed(values: Array, rate_hz: float) -> Array:
     return np.where(near, np.nan, found)
 
 
-def _delay(recordings: Sequence[Recording], axis: Axis) -> tuple[float, tuple[float, float], float]:
-    """Delay of the largest correlation of motion and command [s], its 95 % interval from blocks, and the correlation."""
-    unknown = math.nan, (math.nan, math.nan), math.nan
+Interval = tuple[float, float]
+UNKNOWN: Interval = (math.nan, math.nan)
+
+
+def _delay(recordings: Sequence[Recording], axis: Axis) -> tuple[float, Interval, Interval, float]:
+    """Delay of the largest correlation [s], its 95 % interval, the range of those of the blocks, and the correlation."""
+    unknown = math.nan, UNKNOWN, UNKNOWN, math.nan
     rate = max(r.rate_hz for r in recordings)
     if axis.actuation == "force":
         return unknown
@@ -296,25 +307,34 @@ def _delay(recordings: Sequence[Recording], axis: Axis) -> tuple[float, tuple[fl
     delay, correlation = _peak(stacked.sum(axis=0), rate)
     if not correlation >= LEAST_CORRELATION:
         return unknown
-    half = 0.5 / rate
+    half, parts = 0.5 / rate, UNKNOWN
     if len(stacked) >= BLOCKS:
         without = np.array([_peak(stacked.sum(axis=0) - block, rate)[0] for block in stacked])
         count = len(without)
-        half = max(half, Z * float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))))
-    return delay, (max(0.0, delay - half), delay + half), correlation
+        half = max(EXACT / rate, Z * float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))))
+        parts = _of_parts(stacked, rate, ALIKE * correlation)
+    return delay, (delay - half, delay + half), parts, correlation
+
+
+def _of_parts(sums: Array, rate: float, least: float) -> Interval:
+    """Delays (5th and 95th percentile) of the blocks that move, and in which the motion answers: their correlation."""
+    moved = sums[:, :, 4].max(axis=1)
+    peaks = [_peak(block, rate) for block in sums[moved >= MOVING * np.median(moved)]]
+    delays = [delay for delay, correlation in peaks if correlation >= least]
+    return tuple(np.quantile(delays, (0.05, 0.95)).tolist()) if len(delays) >= BLOCKS else UNKNOWN
 
 
 def _correlation_sums(recording: Recording, axis: Axis, rate: float) -> list[Array]:
-    """Sums of both series, their squares and products at every lag, for each block: (lags, 6)."""
+    """Sums of both series, their squares and products at every lag from one sample ahead on, for each block: (lags, 6)."""
     command, moved = recording.values(axis_signal(axis.name, "command")), speed(recording.values(axis.driven), rate)
     if axis.actuation != "velocity":
         command = speed(command, rate)
-    lags, length, found = round(MAX_DELAY_S * rate) + 1, max(round(BLOCK_S * rate), 1), []
-    (u, has_u), (v, has_v) = _filled(np.concatenate([np.full(lags - 1, np.nan), command])), _filled(moved)
+    lags, length, found = round(MAX_DELAY_S * rate) + 2, max(round(BLOCK_S * rate), 1), []
+    (u, has_u), (v, has_v) = _filled(np.concatenate([np.full(lags - 2, np.nan), command, [np.nan]])), _filled(moved)
     for first in range(0, max(len(v) - length // 2, 1), length):
         before, here = slice(first, first + length + lags - 1), slice(first, first + length)
         rows = [
-            correlate(one[before], other[here], "valid")[::-1]  # the last one is without a delay
+            correlate(one[before], other[here], "valid")[::-1]  # the last one is a sample ahead
             for one, other in (
                 (has_u, has_v), (u, has_v), (has_u, v), (u * u, has_v), (has_u, v * v), (u, v)
             )
@@ -341,7 +361,7 @@ def _peak(sums: Array, rate: float) -> tuple[float, float]:
         below, top, above = sizes[best - 1 : best + 2]
         bend = below - 2.0 * top + above
         at += float(0.5 * (below - above) / bend) if bend < 0.0 else 0.0
-    return at / rate, float(sizes[best])
+    return (at - 1.0) / rate, float(sizes[best])
 
 
 def _directions(recordings: Sequence[Recording], axis: Axis, delay: float) -> tuple[Direction, Direction]:
@@ -351,7 +371,7 @@ def _directions(recordings: Sequence[Recording], axis: Axis, delay: float) -> tu
     low, high = np.nanmin(place), np.nanmax(place)
     most = max(float(np.nanmax(np.abs(r.values(axis_signal(axis.name, "command"))), initial=0.0)) for r in recordings)
     for recording in recordings:
-        lag, before = round(delay * recording.rate_hz), max(round(STEADY_S * recording.rate_hz), 1)
+        lag, before = max(0, round(delay * recording.rate_hz)), max(round(STEADY_S * recording.rate_hz), 1)
         command, values = recording.values(axis_signal(axis.name, "command")), recording.values(axis.driven)
         late = np.concatenate([np.full(lag, np.nan), command[: len(command) - lag]])
         steady = np.zeros(len(late), dtype=bool)

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from sysid import display
-from sysid.datasets.quality.responses import AxisResponse, Direction, responses_of
+from sysid.datasets.quality.responses import BLOCK_S, AxisResponse, Direction, responses_of
 from sysid.figures import Table
 from sysid.reports.charts import ChartCurve, chart
 from sysid.reports.inputs import ReportInputs
@@ -20,20 +20,29 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     found = responses_of(inputs.dataset)
     shown = [response for response in found if math.isfinite(response.delay)]
     pictures = [(response.axis, picture) for response in shown if (picture := _picture(response))]
-    header = ("Axis", "Delay", "Command", "Motion begins at", "Speed at full")
     unknown = [response.axis for response in found if not math.isfinite(response.delay)]
-    return {"figures": Table(header, response_rows(shown)), "pictures": pictures, "unknown": unknown} if shown else None
+    return {"figures": response_table(shown, "Axis"), "pictures": pictures, "unknown": unknown} if shown else None
 
 
-def response_rows(responses: Sequence[AxisResponse]) -> list[tuple[str, ...]]:
-    """Axis and delay, and for each direction of the command: its name, where motion begins, the speed at full command."""
+def response_table(responses: Sequence[AxisResponse], title: str) -> Table:
+    """Axis and delay of its motion; where there are valves, for each direction its name, where motion begins, the full speed.
+
+    Args:
+        title: of the column of the axes.
+    """
     rows: list[tuple[str, ...]] = []
     for response in responses:
-        delay = display.interval(*response.delay95, "s") if math.isfinite(response.delay) else display.NOTHING
+        delay, parts = (
+            display.interval(*ends, "s") if math.isfinite(ends[0]) else display.NOTHING
+            for ends in (response.delay95, response.delays90)
+        )
         sides = (("positive", response.positive), ("negative", response.negative))
         texts = [_side(name, side, response.unit) for name, side in sides if side is not None] or [("", "", "")]
-        rows += [(response.axis, delay, *texts[0]), *(("", "", *text) for text in texts[1:])]
-    return rows
+        rows += [(response.axis, delay, parts, *texts[0]), *(("", "", "", *text) for text in texts[1:])]
+    header = (title, "delay", f"in parts of {BLOCK_S:.0f} s", "command", "motion begins at", "speed at full")
+    if all(response.positive is None for response in responses):
+        return Table(header[:3], [row[:3] for row in rows], (1, 2))
+    return Table(header, rows, (1, 2, 4, 5))
 
 
 def _side(name: str, side: Direction, unit: str) -> tuple[str, str, str]:
