@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba import njit
 
 from sysid.location import cache_home
 
 _PACKAGE = Path(__file__).parent
+#: Of which the published types lack options.
+_njit: Any = numba.njit
 
 
 def source_digest(beside: Path | None = None) -> str:
@@ -66,7 +67,7 @@ def is_compiled() -> bool:
 
 
 def _cached(**options: Any) -> Callable[[Any], Any]:
-    """``njit`` with the cache of :func:`cache_folder`; the setting of other packages is restored."""
+    """``numba.njit`` with the cache of :func:`cache_folder`; the setting of other packages is restored."""
 
     def decorate(function: Any) -> Any:
         config: Any = numba.config
@@ -74,19 +75,37 @@ def _cached(**options: Any) -> Callable[[Any], Any]:
         folder = cache_folder(None if own.is_relative_to(_PACKAGE) else own)
         before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
-            return njit(cache=True, **options)(function)
+            return _njit(cache=True, no_cfunc_wrapper=True, **options)(function)
         finally:
             config.CACHE_DIR = before
 
     return decorate
 
 
-_BARE: Any = {"_nrt": False}
+class Part:
+    """A function that kernels call; Python runs its source. Without entry points from outside it compiles in a fourth less."""
 
-#: A function that is called in every step, such as a step of an effect: inlined into its caller.
-inlined: Any = njit(forceinline=True, error_model="numpy", fastmath={"contract", "arcp"}, **_BARE)
-#: A loop over samples or lanes, called from a :data:`kernel` that allocates its arrays.
-loop: Any = njit(nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, **_BARE)
+    def __init__(self, function: Any, **options: Any) -> None:
+        bare = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        self._compiled = _njit(error_model="numpy", fastmath={"contract", "arcp"}, **bare, **options)(function)
+        self._numba_type_ = getattr(self._compiled, "_numba_type_", None)  # none where NUMBA_DISABLE_JIT is set
+        self.py_func = function
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *values: Any) -> Any:
+        return self.py_func(*values)
+
+
+def inlined(function: Any) -> Any:
+    """A function that is called in every step, such as a step of an effect: inlined into its caller."""
+    return Part(function, forceinline=True)
+
+
+def loop(function: Any) -> Any:
+    """A loop over samples or lanes, called from a :data:`kernel` that allocates its arrays."""
+    return Part(function, nogil=True)
+
+
 #: Entry point from Python: cached between processes, releases the interpreter lock.
 kernel: Any = _cached(nogil=True, error_model="numpy")
 #: A kernel whose sums may be reordered (vectorised).

@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -92,3 +93,15 @@ def test_one_module_imports_numba() -> None:
             if any(name.split(".")[0] == "numba" for name in names):
                 importing.add(str(path.relative_to(ROOT)))
     assert importing == {"sysid/compiled.py", "pipelines/simulated_bench/compiled.py"}, "use sysid.compiled"
+
+
+@pytest.mark.parametrize("part", [compiled.inlined, compiled.loop], ids=["inlined", "loop"])
+def test_a_part_is_the_same_function_in_a_kernel_and_in_python(part: Any) -> None:
+    @part
+    def doubled(x: Any) -> Any:
+        """Twice as much."""
+        return x + x
+
+    whole = numba.njit(lambda x: doubled(x) + 1.0)
+    assert whole(3.0) == doubled(3.0) + 1.0 == 7.0
+    assert doubled.__doc__ == "Twice as much."
