@@ -2,7 +2,7 @@
 
 Architectures, optimiser and numbers of samples are the paper's, whose batch sizes, numbers of epochs, schedules and forward
 learning rate are not published; those were chosen here (``docs/networks.md``), and with them a learning rate of the actuator
-networks that reaches the same errors in a fourth of the paper's updates (:data:`PAPER_ACTUATOR_TRAINING`).
+networks that reaches the same errors in a fifth of the paper's updates (:data:`PAPER_ACTUATOR_TRAINING`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PAPER_MAX = {"ee.x": 15.9e-3, "ee.y": 20.5e-3, "ee.z": 13.6e-3}
 
 #: The paper's learning rate, with as many epochs as it needs.
 PAPER_ACTUATOR_TRAINING = TrainingSettings(1e-4, batch=64, epochs=800, patience=100, check_every=5, schedule="cosine")
-_ACTUATOR_TRAINING = TrainingSettings(learning_rate=2e-3, batch=64, epochs=200, patience=60, check_every=5, schedule="cosine")
+_ACTUATOR_TRAINING = TrainingSettings(learning_rate=3e-3, batch=64, epochs=150, patience=100, check_every=5, schedule="cosine")
 _MOTION_TRAINING = TrainingSettings(learning_rate=2e-3, batch=128, epochs=60, patience=20, check_every=2, schedule="cosine")
 _FORWARD_TRAINING = TrainingSettings(learning_rate=3e-3, batch=16, epochs=500, patience=150, check_every=5, schedule="cosine")
 
