@@ -17,6 +17,7 @@ import numpy.typing as npt
 from sysid.confined import confined
 from sysid.errors import InputError, nearest
 from sysid.logs.limits import MAX_TEXT, Budget, check_file
+from sysid.units import si_factor
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,7 @@ def read_confined(reader: LogReader, path: Path, options: ReadOptions) -> tuple[
         InputError: as of the reader; it took more than its budget, or crashed.
     """
     limits = options.budget_of(path, "a log file", None).limits
+    si_factor("1")  # loads the unit library here once, not in the process of every file
     return confined(
         lambda report: reader.read(path, replace(options, progress=report)), path, limits, (Stream,), options.progress
     )
