@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import tomllib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -144,6 +147,43 @@ def split(
     show_dataset(out, dataset)
     out.line(f"{base} has these roles already." if dataset.reference == base else f"{dataset.reference}: the tables of {base}.")
     write_json(json_file, {**describe(dataset), "base": base})
+
+
+@datasets.command()
+@click.argument("reference", metavar="NAME[@VERSION]")
+@click.argument("folder", metavar="FOLDER", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--out", required=True, metavar="DIR", type=click.Path(path_type=Path), help="A new folder.")
+@json_option
+@click.pass_obj
+def shift(location: str, reference: str, folder: Path, out: Path, json_file: str | None) -> None:
+    """Write a LeRobot dataset with every action as late as its motion.
+
+    FOLDER is the LeRobot dataset that NAME was made from. Every action becomes later by the delay of the motion behind it, as
+    the recordings show it; axes without one keep their actions. Statistics are computed again; all else is copied.
+    """
+    from sysid.cli.gap_tables import show_responses
+    from sysid.datasets import Store
+    from sysid.logs.lerobot import LeRobotReader
+    from sysid.logs.lerobot_shift import write_shifted
+
+    printer, store = Printer(json_file), Store(location)
+    responses = show_responses(printer, store.load(reference))
+    actions = {
+        signal.removesuffix(".command"): str(source["field"])
+        for part in store.manifest(reference)["parts"]
+        for stream in tomllib.loads(part["made"]["recipe"]).get("streams", [])
+        if stream.get("reader") == LeRobotReader().name
+        for signal, source in stream.get("signals", {}).items()
+        if signal.endswith(".command")
+    }
+    if not actions:
+        raise SettingsError(f"dataset {reference}", "no command of a LeRobot dataset", "one that sysid start or a recipe made")
+    delays = {actions[r["axis"]]: r["delay"] for r in responses if r["axis"] in actions and math.isfinite(r["delay"])}
+    write_shifted(folder, out, delays)
+    for axis in (axis for axis, field in actions.items() if field not in delays):
+        printer.line(f"{axis}: no delay is known; its action stays")
+    printer.line(f"made  {out}")
+    write_json(json_file, {"schema": 1, "made": out, "delays": delays})
 
 
 @datasets.command()

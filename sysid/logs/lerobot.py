@@ -27,7 +27,9 @@ Array = npt.NDArray[np.float64]
 KIND = "LeRobot episode"
 #: Versions of the layout that are read.
 VERSIONS = ("v2.", "v3.")
-_INFO, _EPISODE, _TIME = "meta/info.json", "episode_index", "timestamp"
+_INFO = "meta/info.json"
+#: Features that every dataset has.
+EPISODE, TIME = "episode_index", "timestamp"
 #: How the types of numbers and flags begin.
 _NUMBERS = ("float", "int", "uint", "bool")
 #: Relative resolution of the stamps, which are stored in single precision.
@@ -46,11 +48,11 @@ class LeRobotReader:
         info = dataset_info(path)
         if info is None:
             raise InputError(path, "no meta/info.json above it", "a file data/chunk-…/….parquet of a LeRobot dataset")
-        names, unread = _feature_names(info, path)
+        names, unread = feature_names(info, path)
         columns = _read(path, names, options)
-        episodes = columns.pop(_EPISODE).astype(np.int64)
-        stamps = _seconds(columns.pop(_TIME), float(info.get("fps") or 0.0))
-        bounds = _bounds(episodes, path)
+        episodes = columns.pop(EPISODE).astype(np.int64)
+        stamps = seconds_of(columns.pop(TIME), float(info.get("fps") or 0.0))
+        bounds = episode_rows(episodes, path)
         options.check_streams(path, [episode_name(k) for k in bounds], "episode")
         known = tuple(label for label in names if options.columns is not None)
         return tuple(
@@ -106,7 +108,7 @@ def dataset_info(path: Path) -> dict[str, Any] | None:
     return info
 
 
-def _feature_names(info: Mapping[str, Any], path: Path) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
+def feature_names(info: Mapping[str, Any], path: Path) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
     """Column of a stream, ``feature[element]`` or ``feature`` → its feature and the place in its list; and the other features.
 
     An element is labelled by its name as an element of a message is (:func:`sysid.logs.labels.bracketed`), else by its place.
@@ -120,7 +122,7 @@ def _feature_names(info: Mapping[str, Any], path: Path) -> tuple[dict[str, tuple
     found: dict[str, tuple[str, int]] = {}
     unread: dict[str, str] = {}
     for feature, about in features.items():
-        if feature in (_EPISODE, _TIME):
+        if feature in (EPISODE, TIME):
             continue
         kind, shape = (about.get("dtype"), about.get("shape")) if isinstance(about, dict) else (None, None)
         if not str(kind).startswith(_NUMBERS):
@@ -160,20 +162,20 @@ def _read(path: Path, names: Mapping[str, tuple[str, int]], options: ReadOptions
     try:
         with pq.ParquetFile(path) as file:
             rows, present = file.metadata.num_rows, set(file.schema_arrow.names)
-            for needed in (_EPISODE, _TIME, *(feature for feature, _ in wanted.values())):
+            for needed in (EPISODE, TIME, *(feature for feature, _ in wanted.values())):
                 if needed not in present:
                     raise InputError(path, f"no column {needed!r}", "the features of meta/info.json")
             counts = {feature: 1 + max(k for name, k in names.values() if name == feature) for feature, _ in wanted.values()}
             budget.check_columns(path, 2 + sum(counts.values()))
             budget.check_numbers(path, rows * (2 + sum(counts.values())))
-            lists = {feature: _numbers(file, feature, rows, count, path) for feature, count in counts.items()}
-            own = {key: _numbers(file, key, rows, 1, path)[:, 0] for key in (_EPISODE, _TIME)}
+            lists = {feature: feature_values(file, feature, rows, count, path) for feature, count in counts.items()}
+            own = {key: feature_values(file, key, rows, 1, path)[:, 0] for key in (EPISODE, TIME)}
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
         raise InputError(path, f"not readable as Parquet ({error})", "a data file of a LeRobot dataset") from None
     return {**own, **{label: lists[feature][:, k].copy() for label, (feature, k) in wanted.items()}}
 
 
-def _numbers(file: Any, feature: str, rows: int, count: int, path: Path) -> Array:
+def feature_values(file: Any, feature: str, rows: int, count: int, path: Path) -> Array:
     """A feature as a table, (n, count)."""
     import pyarrow as pa
 
@@ -191,7 +193,7 @@ def _numbers(file: Any, feature: str, rows: int, count: int, path: Path) -> Arra
     return out
 
 
-def _bounds(episodes: npt.NDArray[np.int64], path: Path) -> dict[int, slice]:
+def episode_rows(episodes: npt.NDArray[np.int64], path: Path) -> dict[int, slice]:
     """Episode → its rows.
 
     Raises:
@@ -206,7 +208,7 @@ def _bounds(episodes: npt.NDArray[np.int64], path: Path) -> dict[int, slice]:
     return {k: slice(int(a), int(b)) for k, a, b in zip(numbers, edges, edges[1:], strict=False)}
 
 
-def _seconds(stamps: Array, rate_hz: float) -> Array:
+def seconds_of(stamps: Array, rate_hz: float) -> Array:
     """Stamps [s]; where they are frames over the rate, up to single precision, exactly those."""
     if rate_hz <= 0.0:
         return stamps
