@@ -22,8 +22,8 @@ Given models of one stage (sets of effects) under shared variances:
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 4. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where formulas are wrong, the set has to be worth its
-   price, and where errors do not accumulate, the others leave more than a tenth more without the effect. Where they
-   accumulate, an effect confused with a larger one of its axis is not named.
+   price, and where errors do not accumulate, the others leave more than a tenth more without the effect (the least that the
+   plant can leave: values of least squares, no error of timing). Where they accumulate, an effect confused with a larger one of its axis is not named.
 5. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 6. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
    (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation
@@ -191,11 +191,11 @@ def decide(
     known = {f.labels: f for f in models}
     less = without or (lambda f, c: known[f.labels - {c.label}])
     for c in model.candidates if static else ():
-        if not lacking[c.key] and _leaves_as_little(less(model, c), model):
+        if not lacking[c.key] and as_little(free.left(less(model, c)), free.left(model)):
             lacking[c.key] = Reason.LITTLE
     nothing, alone = next((f.left for f in models if not f.candidates), np.inf), model
     if static and fewest is not None and without is not None:
-        lost, alone = _beyond_price(model, lacking, nothing, without)
+        lost, alone = _beyond_price(model, lacking, nothing, without, free)
         lacking |= dict.fromkeys(lost, Reason.LITTLE)
     beside = next((f.left for f in models if f.labels == first), nothing)
     paid = bool(first) and pays(nothing, beside, len(first))
@@ -205,7 +205,7 @@ def decide(
     if accumulates:
         worth = pays(nothing, free.priced(acceptable[0]), len(smallest))
     else:
-        worth = exact or pays(reference, (alone if alone.candidates else model).left, max(certain, 1))
+        worth = exact or pays(reference, free.left(alone if alone.candidates else model), max(certain, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
@@ -252,16 +252,12 @@ def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[Mo
     return [f for f in models if {c.key for c in f.candidates} != here]
 
 
-def _leaves_as_little(less: ModelFit, model: ModelFit) -> bool:
-    """Whether a set with fewer effects leaves at most a tenth more."""
-    return as_little(less.left, model.left)
-
-
 def _beyond_price(
     model: ModelFit,
     lacking: Mapping[EffectKey, Reason | None],
     nothing: float,
     without: Callable[[ModelFit, Candidate], ModelFit],
+    free: FreeRun,
 ) -> tuple[list[EffectKey], ModelFit]:
     """Certain effects that are not worth a name, and the set of the others alone.
 
@@ -273,9 +269,9 @@ def _beyond_price(
         if lacking[candidate.key]:
             alone = without(alone, candidate)
     while alone.candidates:
-        first = min(alone.candidates, key=lambda c: without(alone, c).left)
+        first = min(alone.candidates, key=lambda c: free.left(without(alone, c)))
         less = without(alone, first)
-        if not _leaves_as_little(less, alone) and pays(nothing, alone.left, len(alone.candidates)):
+        if not as_little(free.left(less), free.left(alone)) and pays(nothing, free.left(alone), len(alone.candidates)):
             break
         lost.append(first.key)
         alone = less

@@ -175,7 +175,7 @@ def search_stage(
     # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
     excited = [c for c in candidates if c.label in nameable]
     nothing = timing_alone(rows, timing)
-    free = free_run_of(rows, nothing, excited)
+    free = free_run_of(rows, nothing if problem.integrates else timing_alone(rows, 0.0), excited)
     sets = smallest_sets(free.sets(), free.priced) if problem.integrates else [free.proposals.fit(())]
     known = dict(free.proposals.fits)
     discrepancy = discrepancy_of(model, rows, theta, timing)

@@ -187,7 +187,8 @@ def _moved_mass(motion: Motion) -> Response | None:
 
 #: Length of the blocks whose scatter gives the interval of a delay [s]; least number of them.
 BLOCK_S, BLOCKS = 10.0, 4
-#: A delay is exact to this share of a sample (the parabola between samples); to half of one where there are fewer blocks.
+#: A delay between two positions is exact to this share of a sample (the parabola between samples). Half of one is open where
+#: there are fewer blocks, and between a command that is held for a sample and the speed that it makes.
 EXACT = 0.05
 #: A block shows a delay of its own if it has this share of the usual motion, and of the correlation of all.
 MOVING, ALIKE = 0.2, 0.7
@@ -311,7 +312,8 @@ def _delay(recordings: Sequence[Recording], axis: Axis) -> tuple[float, Interval
     if len(stacked) >= BLOCKS:
         without = np.array([_peak(stacked.sum(axis=0) - block, rate)[0] for block in stacked])
         count = len(without)
-        half = max(EXACT / rate, Z * float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))))
+        least = 0.5 if axis.actuation == "velocity" else EXACT
+        half = max(least / rate, Z * float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))))
         parts = _of_parts(stacked, rate, ALIKE * correlation)
     return delay, (delay - half, delay + half), parts, correlation
 
