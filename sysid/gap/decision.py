@@ -23,7 +23,8 @@ Given models of one stage (sets of effects) under shared variances:
 4. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where formulas are wrong, the set has to be worth its
    price, and where errors do not accumulate, the others leave more than a tenth more without the effect (the least that the
-   plant can leave: values of least squares, no error of timing). Where they accumulate, an effect confused with a larger one of its axis is not named.
+   plant can leave: values of least squares, no error of timing). Where they accumulate, an effect confused with a larger one of
+   its axis is not named.
 5. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 6. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
    (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation
