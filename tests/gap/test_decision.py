@@ -214,6 +214,19 @@ def test_what_is_further_off_than_without_any_effect_explains_nothing() -> None:
     assert decide([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL).named == ()
 
 
+@pytest.mark.parametrize(("least", "named"), [(2.1, (DELAY,)), (2.4, (DELAY, LAG))])
+def test_what_least_squares_makes_good_without_an_effect_gives_it_no_name(least: float, named: tuple[Candidate, ...]) -> None:
+    """The likeliest dead time alone is off by an error of timing, which the plant has not: it seems to leave 4 floors."""
+
+    class Nearest(FreeRun):
+        def left(self, model: ModelFit) -> float:
+            return least if model.labels == {DELAY.label} else model.left
+
+    alone, both = model(DELAY, worse=4.0, left=4.0), model(DELAY, LAG, left=2.0)
+    models = [model(worse=4.0, left=30.0), alone, model(LAG, worse=4.0, left=20.0), both]
+    assert decide(models, ALL, integrates=False, free=Nearest()).named == named
+
+
 def test_where_errors_add_up_the_values_are_those_that_leave_least_of_the_output() -> None:
     """The likeliest ones may fit fast errors of a wrong formula."""
     models = [model(worse=9.0, left=30.0), model(BAND, away=0.5, left=20.0), model(LAG, worse=9.0, left=28.0)]
