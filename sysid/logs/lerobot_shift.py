@@ -40,7 +40,7 @@ def write_shifted(folder: Path, out: Path, delays: Mapping[str, float]) -> None:
 
     Raises:
         InputError: no LeRobot dataset, or a file that is not readable.
-        SettingsError: no such element, or ``out`` is there.
+        SettingsError: no such element, or ``out`` is there, or in ``folder``.
     """
     files = data_files(folder)
     info = dataset_info(files[0]) if files else None
@@ -50,8 +50,9 @@ def write_shifted(folder: Path, out: Path, delays: Mapping[str, float]) -> None:
     for label in delays:
         if label not in names:
             raise SettingsError(f"{folder}", f"no element {label!r}", nearest(label, names))
-    if out.exists():
-        raise SettingsError(f"{out}", "is there already", "a new folder")
+    if out.exists() or out.resolve().is_relative_to(folder.resolve()):
+        found = "is there already" if out.exists() else f"is in {folder}"
+        raise SettingsError(f"{out}", found, "a new folder beside it", "Give another folder with --out.")
     half = out.with_name(f".{out.name}.part")
     shutil.rmtree(half, ignore_errors=True)
     try:

@@ -115,6 +115,9 @@ def test_only_a_new_folder_and_known_elements(tmp_path: Path) -> None:
     with pytest.raises(SettingsError) as refused:
         write_shifted(folder, tmp_path / "late", {"action[pan.pos]": 0.1})
     assert refused.value.found == "is there already"
+    with pytest.raises(SettingsError) as refused:
+        write_shifted(folder, folder / "late", {"action[pan.pos]": 0.1})
+    assert refused.value.found == f"is in {folder}"
     with pytest.raises(InputError):
         write_shifted(tmp_path / "late", tmp_path / "other", {})
 
