@@ -11,6 +11,7 @@ from crane_data import HIGH, LINKAGES, LOW, crane, dataset, motion, poses, repla
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid.datasets import ingest
 from sysid.datasets.recording import Dataset
 from sysid.errors import ExcitationError, InputError, SettingsError, StoreError
 from sysid.machine import CylinderJointMap, tabulate
@@ -27,7 +28,9 @@ from sysid.networks import (
 )
 from sysid.networks.actuator import actuator_rows
 from sysid.networks.forward import feature_names, forward_rows
+from sysid.networks.recipe import PAPER_ACTUATOR_TRAINING
 from sysid.networks.split import gather, segments, stratified_sample
+from sysid.validate import validate_model
 
 QUICK = parse_recipe(
     {
@@ -298,17 +301,28 @@ def test_unusable_data_for_the_forward_network_are_refused(data: Dataset, broken
 # --- recipe
 
 
-def test_the_default_recipe_is_that_of_the_paper() -> None:
+def test_the_default_recipe_is_that_of_the_paper_but_for_its_schedule() -> None:
     recipe = load_recipe()
     assert recipe.actuator.layers("boom") == (256, 128, 128)
     assert recipe.actuator.layers("stick") == (128, 128)
-    assert recipe.actuator.training.learning_rate == 1e-4
+    assert PAPER_ACTUATOR_TRAINING.learning_rate == 1e-4
+    assert recipe.actuator.training.epochs * 5 <= PAPER_ACTUATOR_TRAINING.epochs
     assert recipe.actuator.samples == 1500
     assert recipe.forward.hidden == (256, 128)
     assert recipe.forward.poses == 500
     assert recipe.forward.features == "joints"
     assert recipe.forward.members == 1
     assert parse_recipe(recipe.to_json(), "again") == recipe
+
+
+@pytest.mark.slow
+def test_the_default_schedule_reaches_the_errors_of_the_paper_s(tmp_path: Path, datasets_folder: Path) -> None:
+    dataset, default = ingest(datasets_folder / "autolog", tmp_path), load_recipe()
+    paper = replace(default, actuator=replace(default.actuator, training=PAPER_ACTUATOR_TRAINING))
+    ours, theirs = (validate_model(fit_actuator(dataset, recipe), dataset).metrics() for recipe in (default, paper))
+    ratios = [ours[key] / theirs[key] for key in ours if key.endswith("motion.rmse")]
+    assert len(ratios) == 4
+    assert max(ratios) < 1.05
 
 
 def test_a_recipe_overrides_single_keys(tmp_path: Path) -> None:
