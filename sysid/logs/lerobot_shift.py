@@ -59,7 +59,7 @@ def write_shifted(folder: Path, out: Path, delays: Mapping[str, float]) -> None:
         shutil.copytree(folder, half)
         changed = Changed()
         for file in files:
-            changed |= _rewritten(half / file.relative_to(folder), names, delays, float(info.get("fps") or 0.0))
+            changed |= _rewritten(file, half / file.relative_to(folder), names, delays, float(info.get("fps") or 0.0))
         _update_statistics(half, changed)
         half.replace(out)
     except BaseException:
@@ -67,18 +67,23 @@ def write_shifted(folder: Path, out: Path, delays: Mapping[str, float]) -> None:
         raise
 
 
-def _rewritten(path: Path, names: Mapping[str, tuple[str, int]], delays: Mapping[str, float], rate_hz: float) -> Changed:
-    """Rewrite a data file; returns the features that changed."""
+def _rewritten(
+    path: Path, out: Path, names: Mapping[str, tuple[str, int]], delays: Mapping[str, float], rate_hz: float
+) -> Changed:
+    """Write a data file to ``out``; returns the features that changed."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with pq.ParquetFile(path) as file:
-        table, rows = file.read(), file.metadata.num_rows
-        counts = {feature: 1 + max(k for other, k in names.values() if other == feature) for feature, _ in names.values()}
-        episodes = episode_rows(feature_values(file, EPISODE, rows, 1, path)[:, 0].astype(np.int64), path)
-        time = seconds_of(feature_values(file, TIME, rows, 1, path)[:, 0], rate_hz)
-        features = {names[label][0] for label in delays}
-        values = {feature: feature_values(file, feature, rows, counts[feature], path) for feature in features}
+    try:
+        with pq.ParquetFile(path) as file:
+            table, rows = file.read(), file.metadata.num_rows
+            counts = {feature: 1 + max(k for other, k in names.values() if other == feature) for feature, _ in names.values()}
+            episodes = episode_rows(feature_values(file, EPISODE, rows, 1, path)[:, 0].astype(np.int64), path)
+            time = seconds_of(feature_values(file, TIME, rows, 1, path)[:, 0], rate_hz)
+            features = {names[label][0] for label in delays}
+            values = {feature: feature_values(file, feature, rows, counts[feature], path) for feature in features}
+    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+        raise InputError(path, f"not readable as Parquet ({error})", "a data file of a LeRobot dataset") from None
     for label, delay in delays.items():
         feature, k = names[label]
         kind = table.schema.field(feature).type
@@ -88,7 +93,7 @@ def _rewritten(path: Path, names: Mapping[str, tuple[str, int]], delays: Mapping
     for feature, own in values.items():
         place = table.schema.get_field_index(feature)
         table = table.set_column(place, table.schema.field(place), _column(own, table.schema.field(place).type))
-    pq.write_table(table, path)
+    pq.write_table(table, out)
     return {episode: {feature: own[here] for feature, own in values.items()} for episode, here in episodes.items()}
 
 

@@ -106,6 +106,16 @@ def test_a_statistic_that_is_not_known_leaves_nothing_half_written(tmp_path: Pat
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
+def test_a_damaged_file_is_refused_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+    folder = write_lerobot(tmp_path / "set", episodes(2), NAMES, files=2)
+    (folder / "data/chunk-000/file-001.parquet").write_bytes(b"PAR1 cut off")
+    with pytest.raises(InputError) as refused:
+        write_shifted(folder, tmp_path / "late", {"action[pan.pos]": 0.1})
+    assert refused.value.where == str(folder / "data/chunk-000/file-001.parquet")
+    assert refused.value.expected == "a data file of a LeRobot dataset"
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
 def test_only_a_new_folder_and_known_elements(tmp_path: Path) -> None:
     folder = write_lerobot(tmp_path / "set", episodes(1), NAMES)
     with pytest.raises(SettingsError) as refused:
