@@ -1,45 +1,31 @@
-"""One sealed case under every trial: searched once, decided by each changed rule."""
+"""A stored case under every trial, and what the trials change."""
 
 from __future__ import annotations
 
 import json
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hidden.evaluate import meant
-from sysid.datasets import ingest
-from sysid.gap import steps
-from sysid.gap.proof import ProofOutcome
-from sysid.plant import nominal_plant
-from trials.memory import Memory
-from trials.replaced import load_all, replaced
 from trials.rules import CONDITIONS, TRIALS, Changes
+from trials.stored import Answer, stored_case
 
-Answer = dict[str, Any]
 
-
-def decide_case(site: Path, sealed: Path, out: Path) -> None:
-    """Write the answer of every trial about the logs in ``site``, compared with the truth."""
-    load_all()
-    truth = json.loads(sealed.read_text("utf-8"))
-    hidden = tuple((e["name"], e["target"]) for each in truth["hidden"] for e in each["effects"])
-    answers: dict[str, Answer] = {}
-    with tempfile.TemporaryDirectory() as workspace, Memory().installed():
-        dataset = ingest(site, workspace)
-        study = steps.open_study(dataset, nominal_plant(dataset.machine))
-
-        def decided(changes: Changes) -> Answer:
-            with replaced(changes):
-                return evaluated(steps.decide_on(steps.search(study)), hidden)
-
-        for name, changes in TRIALS.items():
-            answers[name] = decided(changes)
-        needed = needed_conditions(answers, decided)
+def decide_case(stored: Path, out: Path) -> None:
+    """Write the answer of every trial about a stored case; what the trials ask is stored with it."""
+    case = stored_case(stored)
+    answers = {name: case.answer(changes) for name, changes in TRIALS.items()}
+    needed = needed_conditions(answers, case.answer)
+    case.write(stored)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps({"hidden": hidden, "answers": answers, "needed": needed}, indent=1) + "\n", "utf-8")
+    out.write_text(json.dumps({"hidden": case.hidden, "answers": answers, "needed": needed}, indent=1) + "\n", "utf-8")
+
+
+def answers_of(stored: Path) -> tuple[Answer, Answer]:
+    """The answer of the rule with which a case was searched, and that of the rule as it is now."""
+    case = stored_case(stored)
+    return case.first, case.answer({})
 
 
 def needed_conditions(answers: Mapping[str, Answer], decided: Callable[[Changes], Answer]) -> list[str]:
@@ -65,21 +51,6 @@ def needed_conditions(answers: Mapping[str, Answer], decided: Callable[[Changes]
 def worse(answer: Answer, before: Answer) -> bool:
     """Whether an answer has more wrong names or misses more effects."""
     return any(len(answer[key]) > len(before[key]) for key in ("wrong", "missed"))
-
-
-def evaluated(outcome: ProofOutcome, hidden: Sequence[tuple[str, str]]) -> Answer:
-    """Names and ties of an answer, those that are wrong, and hidden effects that it misses."""
-    found = {}
-    for effect in outcome.named:
-        aliases = [{"name": name, "target": target} for name, target in effect.aliases]
-        named = {"name": effect.name, "target": effect.target, "aliases": aliases}
-        found[effect.name, effect.target] = meant(named, tuple(hidden))
-    return {
-        "named": sorted(found),
-        "ties": sorted(sorted(tie) for tie in outcome.ties),
-        "wrong": sorted(name for name, own in found.items() if own is None),
-        "missed": [name for name in hidden if name not in found.values()],
-    }
 
 
 def verdict(answer: Answer) -> str:

@@ -2,6 +2,7 @@
 
 A search is a value (:class:`sysid.gap.stage_model.StageSearch`), and what the rule asks of it depends on a set of effects and
 its values alone. Those results are kept by what they depend on; each decision begins with the sets that the search has fitted.
+They can be stored with the case (:mod:`trials.stored`).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Memory:
 
     def __init__(self) -> None:
         self._known: dict[Hashable, Any] = {}
-        self._alive: list[object] = []  # what is identified by its address
+        self._numbered: list[object] = []  # likelihoods and problems, which keys contain by their place here
 
     def installed(self) -> Any:
         """A context in which these functions remember."""
@@ -48,19 +49,24 @@ class Memory:
         )
 
     def _of(self, function: Callable[..., Any], key_of: Callable[..., Hashable], identified: int | None = None) -> Any:
-        """The function, which remembers; ``identified``: which argument the key has by its address."""
+        """The function, which remembers; ``identified``: which argument the key has by its identity."""
         name = f"{function.__module__}.{function.__qualname__}"
 
         @functools.wraps(function)
         def remembered(*args: Any, **named: Any) -> Any:
-            key = name, key_of(*args, **named)
+            number = None if identified is None else self._number(args[identified])
+            key = name, number, key_of(*args, **named)
             if key not in self._known:
-                if identified is not None:
-                    self._alive.append(args[identified])
                 self._known[key] = function(*args, **named)
             return self._known[key]
 
         return remembered
+
+    def _number(self, part: object) -> int:
+        found = next((k for k, each in enumerate(self._numbered) if each is part), len(self._numbered))
+        if found == len(self._numbered):
+            self._numbered.append(part)
+        return found
 
     def _search(self, function: Callable[..., StageSearch]) -> Callable[..., StageSearch]:
         searched = self._of(function, _search_key, identified=1)
@@ -92,13 +98,13 @@ def _names(recordings: Any) -> tuple[str, ...]:
 
 
 def _model_key(likelihood: object, candidates: Any, starts: Any, rounds: int = likelihood_stage.ROUNDS) -> Any:
-    return id(likelihood), _labels(candidates), _bytes(starts), rounds
+    return _labels(candidates), _bytes(starts), rounds
 
 
 def _search_key(
-    model: Any, problem: Any, recordings: Any, theta: Any, sigma: Any, candidates: Any, nameable: Any, _: Any
+    model: Any, problem: Any, recordings: Any, theta: Any, sigma: Any, candidates: Any, nameable: Any, _: Any, timing: float
 ) -> Any:
-    return id(problem), _bytes(theta), _bytes(sigma), _labels(candidates), tuple(nameable)
+    return _bytes(theta), _bytes(sigma), _labels(candidates), tuple(nameable), timing
 
 
 def _known_key(data: Any, theta: Any, fitted: Any, noise: Any, seed: int) -> Any:

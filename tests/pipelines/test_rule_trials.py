@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 from typing import Any
 
+import lift_motion
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "pipelines"))
-from sysid.gap import comparison, decision, thresholds
+from sysid.gap import comparison, decision, fit, steps, thresholds
 from sysid.gap.free_run import LeastSquares
-from trials.cases import changed, needed_conditions, verdict
+from sysid.gap.likelihood import stage as likelihood_stage
+from sysid.gap.reasons import Reason
+from sysid.plant import nominal_plant
+from trials.cases import answers_of, changed, needed_conditions, verdict
 from trials.memory import Memory
 from trials.replaced import load_all, replaced
 from trials.rules import CONDITIONS, TRIALS, Changes
+from trials.stored import StoredCase, stored_case
 
 
 @pytest.mark.parametrize("trial", list(TRIALS))
@@ -50,6 +56,37 @@ def test_what_is_remembered_is_computed_once() -> None:
     remembered = memory._of(double, lambda value: value)
     assert [remembered(k) for k in (1, 2, 1)] == [2, 4, 2]
     assert calls == [1, 2]
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A searched lift with a slow valve."""
+    load_all()
+    data = lift_motion.dataset(deadband=0.0)
+    study = steps.open_study(data, nominal_plant(data.machine))
+    case = StoredCase(study, Memory(), (("first_order_lag", "boom"),))
+    path = tmp_path_factory.mktemp("searches") / "lift.search"
+    dataclasses.replace(case, first=case.answer({})).write(path)
+    return path
+
+
+def test_a_stored_case_is_decided_without_another_fit(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = stored_case(stored)
+    assert [case.first[key] for key in ("named", "wrong", "missed")] == [[("first_order_lag", "boom")], [], []]
+
+    def fits(*_: object, **__: object) -> None:
+        raise AssertionError("a fit")
+
+    monkeypatch.setattr(likelihood_stage, "fit_model", fits)
+    monkeypatch.setattr(fit, "fit_candidates", fits)
+    assert case.answer({}) == case.first
+
+
+def test_a_stored_case_shows_what_a_changed_rule_answers(stored: Path) -> None:
+    before, now = answers_of(stored)
+    assert now == before
+    hidden = stored_case(stored).answer({"decision._lacks": lambda *_: Reason.UNCERTAIN})
+    assert (hidden["named"], hidden["missed"]) == ([], [("first_order_lag", "boom")])
 
 
 def answer(*named: str, wrong: tuple[str, ...] = (), missed: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -109,7 +109,7 @@ class StageRows:
         for s in self.series:
             self.recording_of_block[self.block[s.rows]] = s.recording
         self.theta = theta
-        self._known = _Known()
+        self._known = KnownResiduals()
         self.present = np.concatenate([s.present for s in self.series])
         self.nominal = np.zeros(begin)
         self.nominal = self.residuals(theta[None])[0]
@@ -186,7 +186,7 @@ class StageRows:
         return block
 
 
-class _Known:
+class KnownResiduals:
     """The latest residuals of single recordings: a search compares the same sets of effects under several variances.
 
     They are known by the index of the recording and the bytes of the parameter vector.

@@ -267,13 +267,19 @@ class StageLikelihood:
         self.predicts, self.converged = predicts, converged
         self.rows, self.discrepancy, self.variances, self.extra = rows, discrepancy, variances, extra
         self.clusters = np.arange(rows.blocks) if clusters is None else clusters
-        self.filters: tuple[Filter, ...] = tuple(
-            whitening_of(rows, k, variances.disturbances[s.signal], extra[k]) for k, s in enumerate(rows.series)
-        )
-        self.log_scale = float(sum(f.log_scale for f in self.filters))
-        self.linear = self._linear()
 
-    def _linear(self) -> Linear:
+    @cached_property
+    def filters(self) -> tuple[Filter, ...]:
+        """The filter of each series."""
+        rows, disturbances = self.rows, self.variances.disturbances
+        return tuple(whitening_of(rows, k, disturbances[s.signal], self.extra[k]) for k, s in enumerate(rows.series))
+
+    @cached_property
+    def log_scale(self) -> float:
+        return float(sum(f.log_scale for f in self.filters))
+
+    @cached_property
+    def linear(self) -> Linear:
         """Principal directions of timing and discrepancy, computed without a table of all whitened columns."""
         rows, discrepancy = self.rows, self.discrepancy
         scale = self.variances.groups[discrepancy.group]
