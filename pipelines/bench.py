@@ -1,7 +1,8 @@
 """Compares time and memory with other tools on the same logs: `make bench` writes reports/bench/.
 
 The figures are ratios of times measured alternately on one machine; above 1, sysid is better. The parts are in benchmarks/.
-`make bench PARTS="readers memory"` measures these parts and keeps the rows of the others.
+`make bench PARTS="readers memory"` measures these parts and keeps the rows of the others. The ratios also go to history.json;
+the command fails where one to another tool is lower by more than 15 % than when last measured on the same kind of computer.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.gap import gap_rows
+from benchmarks.history import fallen, read_history, write_history
 from benchmarks.logs import ingest_rows, memory_rows, reader_rows
 from benchmarks.motion import motion_rows
 from benchmarks.networks import network_rows
@@ -25,6 +27,7 @@ from committed import markdown, provenance, write_result, write_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "reports" / "bench" / "result.json"
+HISTORY = ROOT / "reports" / "bench" / "history.json"
 PAGE = ROOT / "reports" / "bench" / "README.md"
 PACKAGES = (
     "mcap-ros2-support",
@@ -93,7 +96,7 @@ def main(parts: Sequence[str]) -> Path:
         raise SystemExit(f"no part {', '.join(sorted(unknown))}; expected some of: {', '.join(PARTS)}")
     known = json.loads(RESULT.read_text("utf-8"))["rows"] if parts and RESULT.exists() else []
     head = provenance("make bench", None, PACKAGES)
-    rows: list[dict[str, Any]] = []
+    rows, measured = list[dict[str, Any]](), list[dict[str, Any]]()
     for part, measure in PARTS.items():
         if parts and part not in parts:
             rows += [entry for entry in known if entry["part"] == part]
@@ -104,9 +107,15 @@ def main(parts: Sequence[str]) -> Path:
             against = f"{entry['ours']:.4g} {entry['unit']} against {entry['theirs']:.4g} of {entry['peer']}"
             print(f"{entry['work']:22s} {against}: {ratio['median']:.2f} × ({ratio['min']:.2f} to {ratio['max']:.2f})")
         rows += fresh
+        measured += fresh
     write_result(RESULT, head | {"rows": rows})
     write_tables(PAGE, tables(rows), "make bench")
     print(RESULT.relative_to(ROOT))
+    history = read_history(HISTORY)
+    lower = fallen(measured, head["machine"], history)
+    write_history(HISTORY, history, head, measured)
+    if lower:
+        raise SystemExit("lower by more than 15 % than when last measured:\n  " + "\n  ".join(lower))
     return RESULT
 
 

@@ -23,7 +23,7 @@ def benchmarks() -> Iterator[dict[str, ModuleType]]:
 
     sys.path.insert(0, PIPELINES)
     try:
-        yield {name: importlib.import_module(f"benchmarks.{name}") for name in ("rows", "crane", "peers")}
+        yield {name: importlib.import_module(f"benchmarks.{name}") for name in ("rows", "crane", "peers", "history")}
     finally:
         sys.path.remove(PIPELINES)
 
@@ -51,6 +51,23 @@ def test_turns_alternate_after_one_run_that_does_not_count(benchmarks: dict[str,
     taken = benchmarks["rows"].in_turns({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
     assert calls == list("ababab")
     assert [len(times) for times in taken.values()] == [2, 2]
+
+
+def test_a_ratio_that_falls_by_more_than_15_percent_is_told(benchmarks: dict[str, ModuleType], tmp_path: Path) -> None:
+    row, history = benchmarks["rows"].row, benchmarks["history"]
+    path = tmp_path / "history.json"
+    before = [row("read", "peer", [1.0], [4.0]), row("read", "other", [1.0], [4.0])]
+    lanes = [row("lanes", "peer", [1.0], [2.0], note=note) for note in ("one core", "two cores")]
+    head = {"commit": "0123456789ab", "date": "2026-11-30", "machine": "a computer", "seed": None}
+    history.write_history(path, [], head, [*before, *lanes])
+    (known,) = history.read_history(path)
+    assert known["ratios"] == {"read|peer": 4.0, "read|other": 4.0, "lanes|peer": 2.0, "lanes|peer|two cores": 2.0}
+    assert set(known) == {"commit", "date", "machine", "ratios"}
+    now = [row("read", "peer", [1.0], [3.3]), row("read", "other", [1.0], [3.5]), row("read", "limit of 1 s", [9.0], [1.0])]
+    assert history.fallen(now, "a computer", [known]) == ["read|peer: 3.3, was 4 at 0123456789ab"]
+    assert history.fallen(now, "another computer", [known]) == []
+    history.write_history(path, [known], head, now)
+    assert [len(each["ratios"]) for each in history.read_history(path)] == [4, 3]
 
 
 def test_the_measured_plant_has_every_effect_of_a_valve_driven_crane(plant: Plant) -> None:
