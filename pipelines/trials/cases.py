@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sys
+import threading
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
+from trials.replaced import holders
 from trials.rules import CONDITIONS, TRIALS, Changes
 from trials.stored import Answer, stored_case
 
@@ -15,11 +20,39 @@ from trials.stored import Answer, stored_case
 def decide_case(stored: Path, out: Path) -> None:
     """Write the answer of every trial about a stored case; what the trials ask is stored with it."""
     case = stored_case(stored)
-    answers = {name: case.answer(changes) for name, changes in TRIALS.items()}
+    case.answer({})  # what it asks for the first time is no part of the decision
+    with entered_modules() as entered:
+        first = case.answer({})
+    answers = {name: case.answer(changes) if reaches(changes, entered) else first for name, changes in TRIALS.items()}
     needed = needed_conditions(answers, case.answer)
     case.write(stored)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps({"hidden": case.hidden, "answers": answers, "needed": needed}, indent=1) + "\n", "utf-8")
+
+
+@contextlib.contextmanager
+def entered_modules() -> Iterator[set[str]]:
+    """Names of the modules of which a function is called, in all threads that begin meanwhile."""
+    found: set[str] = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            found.add(frame.f_globals.get("__name__", ""))
+
+    sys.setprofile(note)
+    threading.setprofile(note)
+    try:
+        yield found
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)
+
+
+def reaches(changes: Changes, entered: Container[str]) -> bool:
+    """Whether a changed constant is in a module that a decision enters; a changed function may be anywhere."""
+    if any(callable(new) for new in changes.values()):
+        return True
+    return not changes or any(module.__name__ in entered for where in changes for module in holders(where))
 
 
 def answers_of(stored: Path) -> tuple[Answer, Answer]:

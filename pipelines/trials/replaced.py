@@ -7,6 +7,7 @@ import importlib
 import pkgutil
 import sys
 from collections.abc import Iterator, Mapping
+from types import ModuleType
 from typing import Any
 
 import sysid.gap
@@ -25,10 +26,8 @@ def replaced(changes: Mapping[str, Any]) -> Iterator[None]:
     undo: list[tuple[Any, str, Any]] = []
     try:
         for where, new in changes.items():
-            owner, name = _owner(where)
-            old = vars(owner)[name] if name in vars(owner) else getattr(owner, name)
-            same = [owner] if isinstance(owner, type) else [m for m in _modules() if _is(vars(m).get(name), old)]
-            for module in same:
+            name = where.rpartition(".")[2]
+            for module in holders(where):
                 undo.append((module, name, vars(module)[name]))
                 setattr(module, name, new)
         yield
@@ -37,11 +36,24 @@ def replaced(changes: Mapping[str, Any]) -> Iterator[None]:
             setattr(module, name, old)
 
 
-def load_all() -> None:
+def holders(where: str) -> list[Any]:
+    """The modules, or the class, in which ``module.name`` or ``module.Class.name`` stands.
+
+    Raises:
+        AttributeError: there is no such name.
+    """
+    owner, name = _owner(where)
+    old = vars(owner)[name] if name in vars(owner) else getattr(owner, name)
+    return [owner] if isinstance(owner, type) else [m for m in _modules() if _is(vars(m).get(name), old)]
+
+
+def load_all() -> list[ModuleType]:
     """Import every module of `sysid.gap`: one that is imported later would not see a replacement."""
+    loaded = []
     for found in pkgutil.walk_packages(sysid.gap.__path__, "sysid.gap."):
         with contextlib.suppress(ImportError):  # of an extra that is not installed
-            importlib.import_module(found.name)
+            loaded.append(importlib.import_module(found.name))
+    return loaded
 
 
 def _owner(where: str) -> tuple[Any, str]:

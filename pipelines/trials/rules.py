@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from sysid.gap import decision, proof, thresholds
+from trials.replaced import load_all
 
 Changes = Mapping[str, Any]
 
@@ -53,10 +56,24 @@ CONDITIONS: Mapping[str, Changes] = {
     "may be absent by the stated interval": {"stage_intervals.may_be_absent": _never},
     "a share of the gap": {"proof._least_share": lambda _: 0.0},
 }
-#: Constants of the decision, larger and smaller by half; searches stay as they are.
-CONSTANTS: Mapping[str, Changes] = {
-    f"{name} {sign} {factor:g}": {f"thresholds.{name}": value * factor if sign == "x" else value / factor}
-    for name, value in (("STANDARD_ERRORS", 2.0), ("LEAST", 3.0), ("BLOCK_NATS", 5.0), ("PRICE", 5.0), ("SHARE", 0.01))
-    for sign, factor in (("x", 1.5), ("/", 1.5))
-}
-TRIALS: Mapping[str, Changes] = {"": {}, **CONDITIONS, **CONSTANTS}
+#: By how much a constant is changed.
+FACTOR = 1.5
+
+
+def constants() -> dict[str, Changes]:
+    """Every number with a name of its own in `sysid.gap`, larger by half; searches stay as they are."""
+    found: dict[str, Changes] = {}
+    for module in load_all():
+        tree = ast.parse(Path(str(module.__file__)).read_text("utf-8"))
+        assigned = [node.targets[0] for node in tree.body if isinstance(node, ast.Assign)]
+        targets = [each for target in assigned for each in (target.elts if isinstance(target, ast.Tuple) else [target])]
+        below = module.__name__.removeprefix("sysid.gap.")
+        for target in targets:
+            value = vars(module)[target.id] if isinstance(target, ast.Name) else None
+            if isinstance(target, ast.Name) and type(value) in (int, float):
+                new = FACTOR * value if isinstance(value, float) else math.ceil(FACTOR * value)
+                found[f"{below}.{target.id} x {FACTOR:g}"] = {f"{below}.{target.id}": new}
+    return found
+
+
+TRIALS: Mapping[str, Changes] = {"": {}, **CONDITIONS, **constants()}

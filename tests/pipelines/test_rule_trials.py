@@ -16,17 +16,17 @@ from sysid.gap.free_run import LeastSquares
 from sysid.gap.likelihood import stage as likelihood_stage
 from sysid.gap.reasons import Reason
 from sysid.plant import nominal_plant
-from trials.cases import answers_of, changed, needed_conditions, verdict
+from trials.cases import answers_of, changed, needed_conditions, reaches, verdict
 from trials.memory import Memory
 from trials.replaced import load_all, replaced
-from trials.rules import CONDITIONS, TRIALS, Changes
+from trials.rules import CONDITIONS, TRIALS, Changes, constants
 from trials.stored import StoredCase, stored_case
 
 
-@pytest.mark.parametrize("trial", list(TRIALS))
-def test_every_trial_names_something_that_there_is(trial: str) -> None:
+@pytest.mark.parametrize("trial", list(CONDITIONS))
+def test_every_condition_names_something_that_there_is(trial: str) -> None:
     load_all()
-    with replaced(TRIALS[trial]):
+    with replaced(CONDITIONS[trial]):
         pass
 
 
@@ -38,6 +38,16 @@ def test_a_replacement_reaches_every_module_that_has_imported_the_name_and_ends(
         assert LeastSquares.priced is mine[1]
         assert decision.LEAST == thresholds.LEAST == comparison.LEAST == 4.5
     assert (comparison.at_bound, decision.at_bound, LeastSquares.priced, decision.LEAST) == before
+
+
+def test_every_number_with_a_name_is_a_trial_where_a_decision_may_read_it() -> None:
+    found = constants()
+    assert {"thresholds.LEAST x 1.5", "held_out.FOLDS x 1.5", "unnamed.instead.DEGREE x 1.5"} <= set(found)
+    assert found["thresholds.LEAST x 1.5"] == {"thresholds.LEAST": 4.5}
+    assert found["held_out.FOLDS x 1.5"] == {"held_out.FOLDS": 8}
+    assert reaches(found["thresholds.LEAST x 1.5"], {"sysid.gap.comparison"})
+    assert not reaches(found["held_out.FOLDS x 1.5"], {"sysid.gap.comparison"})
+    assert reaches(CONDITIONS["at a bound"], set())
 
 
 def test_a_name_that_there_is_not_is_no_trial() -> None:
@@ -96,11 +106,11 @@ def answer(*named: str, wrong: tuple[str, ...] = (), missed: tuple[str, ...] = (
 def test_changed_answers_are_counted_by_what_they_were() -> None:
     right, wrong, less = answer("delay"), answer("delay", "leak", wrong=("leak",)), answer(missed=("delay",))
     assert [verdict(each) for each in (right, wrong, less)] == ["exact", "wrong", "incomplete"]
-    one = dict.fromkeys(TRIALS, right) | {"at a bound": wrong, "LEAST x 1.5": less}
+    one = dict.fromkeys(TRIALS, right) | {"at a bound": wrong, "thresholds.LEAST x 1.5": less}
     other = dict.fromkeys(TRIALS, less) | {"at a bound": less}
     found = changed({"first": one, "second": other})
     assert found["at a bound"] == {"changed": 1, "moves": {"exact → wrong": 1}, "cases": ["first"]}
-    assert found["LEAST x 1.5"]["moves"] == {"exact → incomplete": 1}
+    assert found["thresholds.LEAST x 1.5"]["moves"] == {"exact → incomplete": 1}
     assert sum(each["changed"] for each in found.values()) == 2
 
 
