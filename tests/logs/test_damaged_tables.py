@@ -16,8 +16,10 @@ from scipy.io import savemat
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, reader_for, reader_named
 from sysid.logs.inspection import inspect_file
+from sysid.logs.reader import read_confined
 
-READS_IN_PROCESSES = False
+#: SciPy's MATLAB reader crashes on some damage, which ends its own process.
+READS_IN_PROCESSES = True
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +48,7 @@ def test_any_damage_to_a_table_ends_in_a_stream_or_a_reason(
         del damaged[data.draw(st.integers(1, len(damaged))) :]
     path = tmp_path / name
     path.write_bytes(bytes(damaged))
-    streams, refusal = attempt(InputError, lambda: reader_for(path).read(path, ReadOptions()))
+    streams, refusal = attempt(InputError, lambda: read_confined(reader_for(path), path, ReadOptions()))
     assert streams is not None or name in refusal
     for stream in streams or ():
         assert all(len(values) == len(stream) for values in stream.columns.values())
