@@ -42,6 +42,12 @@ def fit_networks(place: Workspace, dataset: Dataset) -> PaperNetworks:
     return PaperNetworks(*versions, *reports, seed=recipe.seed)
 
 
+def fit_linkages(place: Workspace, dataset: Dataset) -> None:
+    """Register actuator networks by the default schedule, for the linkages of the plant."""
+    if place.network_version(dataset, "actuator") is None:
+        place.add_network(dataset, fit_actuator(dataset, NetworkRecipe()), NetworkRecipe())
+
+
 def rows(networks: PaperNetworks) -> list[PaperRow]:
     """Errors on held-out recordings and poses."""
     found = []

@@ -51,11 +51,16 @@ def train(place: Workspace, plant: str, forward: str, run: Run, folder: Path) ->
     recipe = replace(run.recipe(), name=f"paper-{run.arm}", plant=plant, forward=forward)
     lines = folder / f"{run.arm}-episodes.jsonl"
     trained = train_policy(place.models, recipe, folder / "training", observers=[JsonLines(lines)])
-    task = plan_tracking(*load_versions(place.models, plant, forward), "helix")
-    policy = place.policy(trained.version.reference)
+    helix = track_helix(place, plant, forward, trained.version.reference, run.arm)
     entries = [json.loads(line) for line in lines.read_text("utf-8").splitlines()] if lines.exists() else []
     returns = np.array([entry["return"] for entry in entries if entry["kind"] == "episode"])
-    return TrainedRun(trained.version.reference, returns, task.run(run.arm, TruncatedObservationPolicy(policy)))
+    return TrainedRun(trained.version.reference, returns, helix)
+
+
+def track_helix(place: Workspace, plant: str, forward: str, policy: str, name: str) -> TrackingResult:
+    """The run of a policy along the helix where joints follow at once."""
+    task = plan_tracking(*load_versions(place.models, plant, forward), "helix")
+    return task.run(name, TruncatedObservationPolicy(place.policy(policy)))
 
 
 def rows(trained: Mapping[str, TrainedRun], episodes: int, seed: int) -> list[PaperRow]:

@@ -26,6 +26,7 @@ class PaperRow:
         quantity: what is compared; ``condition``: under which ours was measured.
         paper, ours: values in ``unit``; None where the paper states no number.
         seed: of ours; None where nothing is drawn.
+        best: of the toolkit, by whatever method; ``command``: that makes it; ``seconds``: its processor time.
     """
 
     place: str
@@ -35,6 +36,9 @@ class PaperRow:
     ours: tuple[float, ...]
     unit: str
     seed: int | None = None
+    best: tuple[float, ...] | None = None
+    command: str = ""
+    seconds: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -42,10 +46,21 @@ class PaperRow:
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The rows as a table of the page."""
-    head = ("in the paper", "quantity", "paper", "ours", "unit", "ours: condition")
+    head = ("in the paper", "quantity", "paper", "its method here", "unit", "condition")
     lines = [[row["place"], row["quantity"], *(_shown(row[key]) for key in ("paper", "ours")), row["unit"], row["condition"]]
              for row in rows]  # fmt: skip
     return markdown(head, lines, "llllll")
+
+
+def best_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What the paper states, what its method reaches here, and the best of the toolkit."""
+    head = ("quantity", "paper", "its method here", "best here", "unit", "by", "processor time")
+    lines = [
+        [row["quantity"], *(_shown(row[key]) for key in ("paper", "ours", "best")), row["unit"], row["command"],
+         f"{row['seconds']:.0f} s"]
+        for row in rows if row.get("best") is not None and row["paper"] is not None
+    ]  # fmt: skip
+    return markdown(head, lines, "llllllr")
 
 
 def _shown(values: Sequence[float] | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -47,6 +48,28 @@ def test_rows_of_simulation(paper: Any) -> None:
     assert rewards.ours == pytest.approx((9.05, 4.525), abs=0.01)
     text = paper.table([row.to_json() for row in rows.values()])
     assert "| policy 1 on the helix, max x / y / z | 27.2 / 14.5 / 26.3 | 10.0 / 20.0 / 4.0 | mm |" in text
+
+
+def test_the_best_stands_beside_what_the_paper_states(paper: Any) -> None:
+    row = paper.policies.PaperRow("table", "max x / y / z", "on a bench", (75.2, 80.1, 73.1), (66.7, 74.2, 59.2), "mm", 0)
+    other = paper.policies.PaperRow("figure", "returns", "", None, (1.0,), "1", 0)
+    found = paper.best.Best((4.0, 19.0, 5.1), "sysid gap autolog --add", 12.3)
+    rows = [{**row.to_json(), **paper.best_columns(found)}, {**other.to_json(), **paper.best_columns(None)}]
+    lines = paper.best_table(rows).splitlines()
+    assert len(lines) == 3
+    cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
+    assert cells[:4] == ["max x / y / z", "75.2 / 80.1 / 73.1", "66.7 / 74.2 / 59.2", "4.0 / 19.0 / 5.1"]
+    assert cells[4:] == ["mm", "sysid gap autolog --add", "12 s"]
+
+
+def test_the_committed_best_is_ahead_of_the_paper_in_every_row(paper: Any) -> None:
+    rows = json.loads((paper.REPORT / "result.json").read_text("utf-8"))["rows"]
+    stated = [row for row in rows if row["paper"] is not None]
+    assert stated
+    for row in stated:
+        assert all(mine < theirs for mine, theirs in zip(row["best"], row["paper"], strict=True)), row["quantity"]
+        assert row["command"]
+        assert row["seconds"] > 0.0
 
 
 def test_rows_of_the_machine_state_who_controlled_it(paper: Any) -> None:
