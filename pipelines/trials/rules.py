@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sysid.gap import decision, proof, thresholds
 from trials.replaced import load_all
 
@@ -31,7 +33,8 @@ CONDITIONS: Mapping[str, Changes] = {
         "stage_model.StageSearch.needed": lambda _, fit: 0.0 if fit.left <= thresholds.TENTH else math.inf
     },
     "the simplest model at the noise floor": {"comparison.simplest": lambda model, models: model},
-    "others leave as little": {"decision._leaves_as_little": _never},
+    "each name worth its price beside the others": {"comparison.pays_beside": _always},
+    "sizes of values that may be infinite": {"candidates.sizes_of": lambda _, values: (values, np.ones(len(values)))},
     "compensates for a similar effect": {"decision._repairs": _never},
     "at a bound": {"comparison.at_bound": _never},
     "preferred by blocks of the free run": {"free_run.LeastSquares.further": lambda *_: 0.0},

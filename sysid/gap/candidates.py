@@ -56,6 +56,7 @@ class Unknown:
         nominal: its value in the plant under test.
         negligible: a negligible change; steps and tolerances of fits derive from it.
         stepwise: the output is not differentiable by it; a fit searches it on a grid as well.
+        reciprocal: the effect is absent at the upper bound, which stands for infinity: its size is the inverse of the value.
     """
 
     key: str
@@ -64,6 +65,17 @@ class Unknown:
     nominal: float
     negligible: float
     stepwise: bool = False
+    reciprocal: bool = False
+
+
+def sizes_of(unknowns: Sequence[Unknown], values: Array) -> tuple[Array, Array]:
+    """Sizes of ``values`` (k,) on a scale on which no effect is absent at infinity, and the change of each by its value, (k,).
+
+    A frequency, or a limit, of 40 with a standard error of 20 may be any larger one.
+    """
+    inverse = np.array([u.reciprocal for u in unknowns], dtype=bool)
+    safe = np.where(inverse, values, 1.0)
+    return np.where(inverse, 1.0 / safe, values), np.where(inverse, 1.0 / safe**2, 1.0)
 
 
 @dataclass(frozen=True)
@@ -236,6 +248,7 @@ def _candidate(
 ) -> Candidate:
     unknowns: list[Unknown] = []
     starts: list[tuple[float, ...]] = []
+    neutral = {slot.name: slot.neutral for slot in effect.slots}
     for parameter in form.parameters:
         places = parameter_indices(plant.machine.axis_names, effect.name, target, side, parameter.name, plant.streams)
         unit = scales.unit(parameter, target)
@@ -247,7 +260,8 @@ def _candidate(
             if parameter.scale == "1/load":  # the range follows from the load: an elbow of a servo arm and a crane boom differ
                 most = LOAD_BOUND * max(abs(start) for start in parameter.starts) * unit
                 bounds = max(bounds[0], -most), min(bounds[1], most)
-            unknowns.append(Unknown(key, tuple(group), bounds, nominal, negligible, parameter.stepwise))
+            infinite = neutral[parameter.components[k][0]] == bounds[1]
+            unknowns.append(Unknown(key, tuple(group), bounds, nominal, negligible, parameter.stepwise, infinite))
             starts.append(scales.starts(parameter, target))
     count = max(len(s) for s in starts)
     rows = tuple(tuple(s[min(i, len(s) - 1)] for s in starts) for i in range(count))

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sysid.gap.candidates import Candidate
+from sysid.gap.candidates import Candidate, sizes_of
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.thresholds import BLOCK_NATS, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, TENTH, Z, at_floor
+from sysid.gap.thresholds import BLOCK_NATS, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, TENTH, Z, as_little, at_floor
 from sysid.machine import EffectKey
 
 
@@ -95,6 +95,11 @@ def pays(before: float, after: float, effects: int = 1) -> bool:
     return at_floor(after) or divides(before, after, effects)
 
 
+def pays_beside(less: float, whole: float) -> bool:
+    """Whether one effect is worth its price beside the others of a set; what the set leaves without it, and whole."""
+    return not as_little(less, whole) and pays(less, whole)
+
+
 def divides(before: float, after: float, effects: int = 1) -> bool:
     """Whether the variance above the noise floor is divided by the price of so many effects, whatever remains."""
     return before**2 - 1.0 >= PRICE**effects * (max(after, TENTH) ** 2 - 1.0)
@@ -154,5 +159,6 @@ def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[Effe
     """
     half = np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0))
     reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
-    nominal = np.array([u.nominal for u in candidate.unknowns])
-    return bool((np.abs(model.values_of(candidate) - nominal) - reach <= half).all())
+    size, slope = sizes_of(candidate.unknowns, model.values_of(candidate))
+    nominal, _ = sizes_of(candidate.unknowns, np.array([u.nominal for u in candidate.unknowns]))
+    return bool((np.abs(size - nominal) - slope * reach <= slope * half).all())

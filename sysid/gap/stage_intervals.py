@@ -23,7 +23,7 @@ from scipy import stats
 from scipy.stats import norm
 
 from sysid.datasets.checks.roles import is_pose_set
-from sysid.gap.candidates import Candidate, Unknown
+from sysid.gap.candidates import Candidate, Unknown, sizes_of
 from sysid.gap.comparison import equivalent_half
 from sysid.gap.data import Data
 from sysid.gap.fit import place, spread_of
@@ -112,7 +112,7 @@ def limits_of(result: StageResult, spread: Array | None = None) -> Array:
     fitted = result.stage_fit
     assert fitted is not None
     model, alone = fitted.decision.model, fitted.least_squares
-    limits, least = (_interval(f, fitted.decision.exact, wide) for f, wide in ((model, None), (alone, spread)))
+    limits, least = (interval_of(f, fitted.decision.exact, wide) for f, wide in ((model, None), (alone, spread)))
     for candidate in alone.candidates:
         if candidate.label in model.labels:
             here, there = model.rows_of(candidate), least[alone.rows_of(candidate)]
@@ -126,21 +126,30 @@ def limits_of(result: StageResult, spread: Array | None = None) -> Array:
 def may_be_absent(result: StageResult, candidate: Candidate, limits: Array) -> bool:
     """Whether the intervals of all its parameters reach into the region of practical equivalence around the known value."""
     here = limits[result.fit.rows_of(candidate)]
-    nominal = np.array([u.nominal for u in candidate.unknowns])
+    (first, _), (last, _) = (sizes_of(candidate.unknowns, ends) for ends in here.T)
+    nominal, _ = sizes_of(candidate.unknowns, np.array([u.nominal for u in candidate.unknowns]))
     half = np.zeros(len(nominal))
     if result.stage_fit is not None and candidate.label in result.stage_fit.decision.model.labels:
-        half = equivalent_half(candidate, result.stage_fit.decision.model)
-    return bool(((here[:, 0] <= nominal + half) & (nominal - half <= here[:, 1])).all())
+        model = result.stage_fit.decision.model
+        half = equivalent_half(candidate, model) * sizes_of(candidate.unknowns, model.values_of(candidate))[1]
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    return bool(((low <= nominal + half) & (nominal - half <= high)).all())
 
 
-def _interval(model: ModelFit, exact: bool, spread: Array | None) -> Array:
-    """95 % intervals of a normal posterior, (k, 2), at least ``spread`` to both sides.
+def interval_of(model: ModelFit, exact: bool, spread: Array | None) -> Array:
+    """95 % intervals of a normal posterior, (k, 2), at least ``spread`` to both sides; of sizes (:func:`sizes_of`).
 
     Where the formulas are wrong, they include what the discrepancy could do in place of an effect.
     """
     half = Z * np.hypot(np.sqrt(np.diag(model.covariance)), 0.0 if exact else model.confounded)
     half = half if spread is None else np.maximum(half, spread)
-    return np.asarray(model.values[:, None] + half[:, None] * [-1.0, 1.0])
+    ends = model.values[:, None] + half[:, None] * [-1.0, 1.0]
+    inverse = np.array([u.reciprocal for u in model.unknowns], dtype=bool)
+    size, slope = sizes_of(model.unknowns, model.values)
+    low, high = size - slope * half, size + slope * half
+    infinite = np.divide(1.0, low, out=np.full(len(low), np.inf), where=low > 0.0)
+    ends[inverse] = np.column_stack([1.0 / high[inverse], infinite[inverse]])
+    return np.asarray(ends)
 
 
 def simultaneous(values: Array, limits: Array) -> Array:

@@ -12,15 +12,16 @@ from plant_data import ROLES, arm, arm_inputs, dataset_of, measured, nominal, sl
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import GapResult, find_gap, held_out, proof
-from sysid.gap.candidates import candidates_at
+from sysid.gap.candidates import Unknown, candidates_at
 from sysid.gap.fit import Fit
 from sysid.gap.held_out import comparisons_without, without_cheap_names
 from sysid.gap.prepare.case import Stage
 from sysid.gap.prepare.resolution import CoarseSensor
 from sysid.gap.reasons import Reason
-from sysid.gap.stage_intervals import may_be_absent, simultaneous, with_intervals_of
+from sysid.gap.stage_intervals import interval_of, may_be_absent, simultaneous, with_intervals_of
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
+from sysid.gap.thresholds import Z
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant
 
@@ -271,11 +272,39 @@ def test_no_signal_gets_worse_on_held_out_recordings(
 @pytest.mark.parametrize(("low", "absent"), [(1.5, False), (1.2, True), (0.9, True)])
 def test_an_interval_that_reaches_into_the_region_of_equivalence_may_be_absent(low: float, absent: bool) -> None:
     """A unit of the parameter moves the output by one noise floor: the region reaches to 1.46."""
-    candidate: Any = SimpleNamespace(label="gain", unknowns=(SimpleNamespace(nominal=1.0),))
-    model = SimpleNamespace(labels={"gain"}, left=1.0, response=np.ones(1), rows_of=lambda _: slice(0, 1))
+    candidate: Any = SimpleNamespace(label="gain", unknowns=(Unknown("ratio", (0,), (0.0, 9.0), 1.0, 0.01),))
+    model = SimpleNamespace(
+        labels={"gain"}, left=1.0, response=np.ones(1), rows_of=lambda _: slice(0, 1), values_of=lambda _: np.array([2.0])
+    )
     fitted = SimpleNamespace(decision=SimpleNamespace(model=model))
     result: Any = SimpleNamespace(fit=SimpleNamespace(rows_of=lambda _: slice(0, 1)), stage_fit=fitted)
     assert may_be_absent(result, candidate, np.array([[low, 3.0]])) is absent
+
+
+@pytest.mark.parametrize(("high", "absent"), [(100.0, False), (900.0, True), (1000.0, True)])
+def test_an_effect_that_is_absent_at_infinity_may_be_absent_by_its_inverse(high: float, absent: bool) -> None:
+    """A frequency of 40 that may be 900 is as good as none, although 100 Hz remain to the value at which it is absent."""
+    candidate: Any = SimpleNamespace(label="oil", unknowns=(Unknown("frequency", (0,), (1.0, 1e3), 1e3, 0.3, reciprocal=True),))
+    model = SimpleNamespace(
+        labels={"oil"}, left=1.0, response=np.array([0.1]), rows_of=lambda _: slice(0, 1), values_of=lambda _: np.array([40.0])
+    )
+    fitted = SimpleNamespace(decision=SimpleNamespace(model=model))
+    result: Any = SimpleNamespace(fit=SimpleNamespace(rows_of=lambda _: slice(0, 1)), stage_fit=fitted)
+    assert may_be_absent(result, candidate, np.array([[20.0, high]])) is absent
+
+
+@pytest.mark.parametrize(("deviation", "high"), [(2.0, 1.0 / (1.0 / 40.0 - Z * 2.0 / 1600.0)), (30.0, np.inf)])
+def test_the_interval_of_a_value_that_may_be_infinite_is_that_of_its_inverse(deviation: float, high: float) -> None:
+    unknowns = (
+        Unknown("frequency", (0,), (1.0, 1e3), 1e3, 0.3, reciprocal=True),
+        Unknown("delay", (1,), (0.0, 1.0), 0.0, 0.01),
+    )
+    model: Any = SimpleNamespace(
+        unknowns=unknowns, values=np.array([40.0, 0.1]), covariance=np.diag([deviation**2, 0.01**2]), confounded=np.zeros(2)
+    )
+    found = interval_of(model, exact=True, spread=None)
+    assert found[0] == pytest.approx([1.0 / (1.0 / 40.0 + Z * deviation / 1600.0), high])
+    assert found[1] == pytest.approx([0.1 - 0.01 * Z, 0.1 + 0.01 * Z])
 
 
 @pytest.mark.parametrize(
