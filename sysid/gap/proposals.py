@@ -17,6 +17,7 @@ from scipy.stats import qmc
 
 from sysid.gap.candidates import Candidate
 from sysid.gap.fit import place
+from sysid.gap.likelihood.block_products import factored
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model, prior_of, steps_of
 
 Array = npt.NDArray[np.float64]
@@ -200,7 +201,7 @@ def screened(likelihood: StageLikelihood, model: ModelFit, candidates: Sequence[
         w, changes, slopes = part[:, :1], part[:, 1 : count + 1], part[:, count + 1 :]
         table = np.hstack([likelihood.linear.columns[here], (slopes - w) / steps * prior.width, changes - w, w])
         products += table.T @ table
-    factor = np.linalg.cholesky(products[:p, :p] + np.eye(p))
+    factor = factored(products[:p, :p] + np.eye(p))
     right = products[:p, p:].copy()
     right[p - m :, -1] += (model.values - prior.centre) / prior.width
     z = solve_triangular(factor, right, lower=True)

@@ -11,7 +11,9 @@ of the recordings vary more than the likelihood predicts; the sandwich covarianc
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,6 +84,23 @@ def _add_products(left, right, block, out):
                 out[b, i, j] += x * right[r, j]
 
 
+#: Share of the diagonal within which products of nearly parallel columns are indefinite by rounding.
+ROUNDING = 1e-12
+
+
+def factored(information: Array, factor: Callable[[Array], Any] = np.linalg.cholesky) -> Any:
+    """Cholesky factor of products in unit prior (…, p, p); where rounding leaves them indefinite, of a diagonal that is wider.
+
+    Responses of a millionfold the noise have products beside which the unit of the prior is below the last digit.
+    """
+    try:
+        return factor(information)
+    except np.linalg.LinAlgError:
+        wider = information.copy()
+        np.einsum("...ii->...i", wider)[...] *= 1.0 + ROUNDING
+        return factor(wider)
+
+
 def predictive_densities(products: BlockProducts, pull: Array, information: Array) -> Array:
     """Log predictive density of each block, all coefficients from the other blocks (normal equations downdated), (blocks,).
 
@@ -91,7 +110,7 @@ def predictive_densities(products: BlockProducts, pull: Array, information: Arra
         information: :attr:`BlockProducts.information` of ``products``, (p, p).
     """
     rest = information - products.gram
-    factor = np.linalg.cholesky(rest)
+    factor = factored(rest)
     change: Array = np.linalg.solve(rest, (pull - products.right)[:, :, None])[:, :, 0].astype(np.float64)
     # The block's covariance is 1 + Xb·(H − G)⁻¹·Xbᵀ; its inverse by Woodbury is 1 − Xb·H⁻¹·Xbᵀ.
     z = products.right - np.einsum("bij,bj->bi", products.gram, change)

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from sysid.gap.likelihood.block_products import factored
 from sysid.gap.likelihood.stage import Prior
 
 Array = npt.NDArray[np.float64]
@@ -128,7 +129,7 @@ class GaussianRegression:
             sizes = Sizes(np.exp(z[:kinds]), float(np.exp(z[-1])))
             whole, log_scale = _marginal(products, self.kind, self.rows, sizes)
             gram = whole[:-1, :-1] * np.outer(wide, wide) + np.eye(len(beside))
-            factor = np.linalg.cholesky(gram)
+            factor = factored(gram)
             e = np.linalg.solve(factor, wide * whole[:-1, -1])
             value = 0.5 * float(whole[-1, -1] - e @ e) + float(np.log(np.diag(factor)).sum()) + log_scale
             away = (z[:kinds] - np.log(self.expected)) / self.spread
@@ -150,6 +151,6 @@ def _marginal(products: Array, kind: npt.NDArray[np.int64], rows: int, sizes: Si
         return head / s2, float(log_scale)
     tau = sizes.tau[kind]
     inner = products[-p:, -p:] * np.outer(tau, tau) / s2 + np.eye(p)
-    factor = np.linalg.cholesky(inner)
+    factor = factored(inner)
     side = np.linalg.solve(factor, tau[:, None] * products[-p:, :-p])
     return (head - side.T @ side / s2) / s2, float(log_scale + np.log(np.diag(factor)).sum())

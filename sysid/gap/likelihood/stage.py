@@ -26,7 +26,14 @@ from scipy.optimize import lsq_linear
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.fit import place
-from sysid.gap.likelihood.block_products import BlockProducts, posterior_covariance, predictive_densities, products_by_block
+from sysid.gap.likelihood.block_products import (
+    ROUNDING,
+    BlockProducts,
+    factored,
+    posterior_covariance,
+    predictive_densities,
+    products_by_block,
+)
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter, filter_of
 from sysid.gap.likelihood.rows import Series, StageRows
@@ -367,7 +374,7 @@ class StageLikelihood:
 
 def _factor(gram: Array) -> Array:
     """Lower Cholesky factor of products in unit prior."""
-    return np.asarray(np.linalg.cholesky(gram + np.eye(len(gram))))
+    return np.asarray(factored(gram + np.eye(len(gram))))
 
 
 # -- fitting -------------------------------------------------------------------------------------------------------------
@@ -380,8 +387,6 @@ DAMPING, MIN_GAIN_RATIO = (0.0, 1e-2, 0.3, 10.0), 0.5
 FLAT = 1e-3
 #: Least change of the innovations (norm) over which the slope of a stepwise unknown is taken.
 MIN_CHANGE = 2.0
-#: Added to the unit diagonal of a scaled Hessian, which rounding may leave singular.
-ROUNDING = 1e-12
 #: Half-widths of the grid around a flat or stepwise parameter, in its negligible change.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.4)
 

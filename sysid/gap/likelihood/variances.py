@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sysid.gap.likelihood.adjoint import gradient_of
+from sysid.gap.likelihood.block_products import factored
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance, Filter
 from sysid.gap.likelihood.rows import Series, StageRows
@@ -152,7 +154,7 @@ def evidence_and_slope(gram: Array, scale: Array) -> tuple[float, Array]:
     derivatives are e with respect to r and X·H⁻¹ − e·mᵀ with respect to X, linear in the columns.
     """
     H = gram[:-1, :-1] * np.outer(scale, scale) + np.eye(len(scale))
-    factor = cho_factor(H, lower=True)
+    factor = factored(H, partial(cho_factor, lower=True))
     g = gram[:-1, -1] * scale
     m = cho_solve(factor, g)
     value = float(-0.5 * (gram[-1, -1] - g @ m) - np.log(np.diag(factor[0])).sum())
@@ -299,7 +301,7 @@ def group_deviations(gram: Array, fixed: int, group: npt.NDArray[np.int64], taus
     def negative(z: Array) -> tuple[float, Array]:
         scale = _scales(fixed, group, np.exp(z))
         H = gram[:-1, :-1] * np.outer(scale, scale) + np.eye(len(scale))
-        factor = cho_factor(H, lower=True)
+        factor = factored(H, partial(cho_factor, lower=True))
         g = gram[:-1, -1] * scale
         m = cho_solve(factor, g)
         value = 0.5 * (gram[-1, -1] - g @ m) + np.log(np.diag(factor[0])).sum()

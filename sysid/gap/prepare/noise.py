@@ -106,12 +106,17 @@ def _of_samples(dataset: Dataset, signal: str, recordings: list[Recording], most
 
 
 def _of_tables(moving: list[Recording], signal: str, most: float) -> Noise:
-    """White noise in tables of motion, else its bound, at most a plausible share of the range."""
+    """White noise in tables of motion, else its bound, at most a plausible share of the range.
+
+    A motion that is too fast for the rate and stands still most of the time, to the last digit, bounds nothing by its median:
+    what is plausible is left.
+    """
     parts = [(r.values(signal), r.rate_hz) for r in moving if not is_still(r.values(signal))]
-    levels = [level for values, rate in parts if math.isfinite(level := white_noise(values, rate)) and level <= most]
-    if levels:
+    whites = [white_noise(values, rate) for values, rate in parts]
+    if levels := [level for level in whites if level <= most]:
         return Noise(float(np.median(levels)), "above_bandwidth")
-    bounds = [bound for values, _ in parts if math.isfinite(bound := noise_bound(values))]
+    open_ = most if math.isfinite(most) else 0.0
+    bounds = [bound or open_ for values, _ in parts if math.isfinite(bound := noise_bound(values))]
     return Noise(min(float(np.median(bounds)), most) if bounds else 0.0, "unknown")
 
 

@@ -168,7 +168,8 @@ def _exact_step(parts: Sequence[Array]) -> float:
     """Step of readings without noise after rounding: from the least changes between neighbours, refined over all readings.
 
     A reading counts each time that it is reached, since any lattice contains the single level of a sensor at rest. Several low
-    quantiles of the changes are tested, since a few readings may lie off the lattice.
+    quantiles of the changes are tested, since a few readings may lie off the lattice, and the least distance of two levels,
+    since a fast motion may never take a single step.
     """
     values = _readings(parts)
     least = ROUNDING * max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
@@ -182,8 +183,8 @@ def _exact_step(parts: Sequence[Array]) -> float:
     if not len(steps):
         return 0.0
     levels = levels - levels[0]
-    found = 0.0
-    for guess in np.quantile(steps, CHANGES, method="lower"):
+    found, gaps = 0.0, np.diff(np.unique(levels))
+    for guess in (*np.quantile(steps, CHANGES, method="lower"), *gaps[gaps > least].min(initial=np.inf, keepdims=True)):
         step = float(guess)
         for _ in range(3):
             whole = np.round(levels / step)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from sysid.gap.likelihood.block_products import block_products, posterior_covariance
+from sysid.gap.likelihood.block_products import block_products, factored, posterior_covariance
 
 Array = npt.NDArray[np.float64]
 BLOCKS, ROWS = 30, 80
@@ -59,3 +61,16 @@ def test_rows_that_are_not_measured_change_nothing() -> None:
     block = np.concatenate([BLOCK, np.full(7, BLOCKS - 1)])
     found = covariance_of(more, np.append(response, np.zeros(7)), block)
     assert np.allclose(found, covariance_of(columns, response, BLOCK))
+
+
+@given(st.floats(1.0, 1e10), st.floats(0.0, 1e-3), st.integers(0, 100))
+def test_products_of_nearly_parallel_columns_have_a_factor(size: float, apart: float, seed: int) -> None:
+    """Two effects with like responses of a thousand million noise floors ended the search of a short log at 10 Hz."""
+    draw = np.random.default_rng(seed)
+    first, other = draw.standard_normal((2, 50))
+    columns = size * np.column_stack([first, first + apart * other, 2.0 * first])
+    information = columns.T @ columns + np.eye(3)
+    factor = factored(information)
+    np.testing.assert_allclose(factor @ factor.T, information, rtol=1e-9, atol=1e-9 * np.abs(information).max())
+    if size < 1e3:
+        np.testing.assert_array_equal(factor, np.linalg.cholesky(information))

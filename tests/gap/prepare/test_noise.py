@@ -171,3 +171,13 @@ def test_the_noise_estimate_is_unbiased(rate_hz: float) -> None:
     time = np.arange(0.0, 60.0, 1.0 / rate_hz)
     draws = [multisine(time, k) + 1e-3 * np.random.default_rng(k).normal(size=len(time)) for k in range(40)]
     assert np.median([white_noise(values, rate_hz) for values in draws]) == pytest.approx(1e-3, rel=0.03)
+
+
+def test_a_servo_that_jumps_between_places_at_a_low_rate_is_not_free_of_noise() -> None:
+    """Interpolated counts at 10 Hz: still most of the time, and between two rows too fast for any polynomial."""
+    draw = np.random.default_rng(0)
+    places = np.repeat(draw.uniform(-0.3, 0.3, 17), 16)
+    ways = draw.uniform(0.2, 0.8, len(places))  # the grid of the table falls between the samples
+    values = np.where(np.diff(places, prepend=places[0]) != 0.0, places - ways * np.diff(places, prepend=places[0]), places)
+    level = noise_levels(with_signal(values, 10.0))["slew.joint"]
+    assert 1e-4 < level <= PLAUSIBLE * float(np.ptp(values))
