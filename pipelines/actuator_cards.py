@@ -25,7 +25,7 @@ import ur10e
 import xl330
 from committed import ROOT, markdown, provenance, write_result, write_tables
 from sysid.actuators.card import FOLDER, ActuatorCard, CardReplay, card_from
-from sysid.actuators.defaults import EXPRESSED
+from sysid.actuators.export import EXPRESSED
 from sysid.actuators.make import card_of, repetitions
 from sysid.actuators.words import data_text, error_text, repetition_text
 from sysid.cli.output import PipelineProgress, Printer
@@ -42,14 +42,16 @@ from sysid.gap.result import NearMissResult, WrittenEffect
 from sysid.logs import ReadOptions, reader_named
 from sysid.machine import KnownEffect
 from sysid.machine.description import ServoLaw
-from sysid.plant import Plant
+from sysid.plant import Plant, compile_plant
+from sysid.plant.force import force_inputs
 from sysid.reports.result_figures import parameters_of
-from sysid.signals import split_signal
+from sysid.signals import axis_signal, split_signal
 from sysid.workspace import Workspace, open_workspace
 
 CONTENT, PAGE = ROOT / "datasets", ROOT / "docs" / "actuators.md"
 #: Gain of the position loop of the XL330 whose values its card states; the servo leaves the factory with it.
 XL330_GAIN = 400
+TWICE = "a free run, which integrates errors of the force twice"
 #: Duty of an XL330 that is not limited [1/885].
 UNLIMITED = 880
 
@@ -271,12 +273,27 @@ def replays_of(card: ActuatorCard, repaired: Plant, dataset: Dataset) -> Iterato
     missing = "with the links that the actuators move" if linked else ""
     yield worst("the whole export", card, exported, errors, missing)
     if all(axis.actuation == "force" for axis in dataset.machine.axes):
-        plain = exported_to_mujoco(expressed(repaired), dataset)
-        yield worst("its defaults alone", card, plain, errors, missing or "a free run, which integrates the force twice")
+        plain = expressed(repaired)
+        yield worst("its defaults alone", card, exported_to_mujoco(plain, dataset), errors, missing or TWICE)
+        if not linked:  # with links, forces are what was replayed
+            yield from force_ratios(card, repaired, plain, dataset)
     else:
         why = "the recordings do not show the stiffness that a servo of MuJoCo needs"
         yield CardReplay("its defaults alone", why=why if dataset.machine.axes[0].follows_positions else
                          "MuJoCo has no actuator whose command is a flow")  # fmt: skip
+
+
+def force_ratios(card: ActuatorCard, whole: Plant, plain: Plant, dataset: Dataset) -> Iterator[CardReplay]:
+    """The defaults by the force that they need for the measured motion, by the equations of the plant."""
+    for axis in dataset.machine.axes:
+        inputs = [force_inputs(recording, axis) for recording in dataset.with_role("held_out")]
+        errors = []
+        for plant in (plain, whole):
+            model = compile_plant(plant)
+            away = [part.model_force(model, model.theta[None], axis.name)[0] - part.force for part in inputs]
+            errors.append(float(np.sqrt(np.nanmean(np.concatenate(away) ** 2))))
+        signal = axis_signal(axis.name, "command")
+        yield CardReplay("its defaults alone", signal, errors[0] / errors[1], "forces at the measured motion, by the equations")
 
 
 def exported_to_mujoco(plant: Plant, dataset: Dataset) -> Export:
@@ -318,15 +335,7 @@ def table() -> str:
         rows.append(
             [f"`{card.name}`", card.title, data_text(card.data), ", ".join(named) or "–", error_text(card), again, replay]
         )
-    header = [
-        "card",
-        "what",
-        "data",
-        "named",
-        "held-out error: default → card",
-        "from other recordings",
-        "replay: export, defaults",
-    ]
+    header = ["card", "what", "data", "named", "held-out error: default → card", "values from other recordings", "replay"]
     return markdown(header, rows, "lllllll")
 
 

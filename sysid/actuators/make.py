@@ -25,8 +25,6 @@ from sysid.signals import axis_signal, split_signal
 
 #: Inertia of a force axis of which no recording shows one [kg or kg·m²].
 ASSUMED_INERTIA = 1.0
-#: Targets that are no part of an actuator.
-BEYOND = ("base", "ee", "tool")
 
 
 def card_of(
@@ -69,7 +67,9 @@ def card_of(
         )
         for signal, before in result.gap.before.items() if dataset.machine.has_axis(split_signal(signal)[0])
     )  # fmt: skip
-    content = json.loads(plant.to_files()["plant.json"])
+    lineage = {"dataset": dataset.reference, "dataset_digest": dataset.digest, "recipe": recipe}
+    origin = lineage | {key: value for key, value in made.items() if isinstance(value, str)}
+    content = json.loads(replace(plant, origin=origin).to_files()["plant.json"])
     return ActuatorCard(
         1, name, title, data, default, values, errors, content, dict(made), tuple(_not_shown(result)),
         machine_only, assumed, dict(loops), tuple(beside), tuple(repeated), tuple(replays),

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sysid.actuators import card_named, card_names, is_card
-from sysid.actuators.export import export_card, refuse_dataset
+from sysid.actuators.export import export_card
 from sysid.datasets import Dataset
-from sysid.errors import StoreError
+from sysid.errors import SettingsError, StoreError
 from sysid.export.export import SAMPLES, SEED, Export, check_folder, export_plant, target_named
 from sysid.front.place import Place, dataset_in, shown
 from sysid.front.place import open as opened
@@ -52,7 +52,8 @@ def export(
         chosen, folder = target_named(target), Path(out)
         check_folder(folder)
         if is_card(plant):
-            refuse_dataset(dataset)
+            if dataset is not None:
+                raise SettingsError("sysid export", f"--dataset {dataset} with a card", "a card alone, which has no recordings")
             return export_card(card_named(plant), chosen, folder, samples=samples, seed=seed)
         place = opened(workspace)
         data = replayed_dataset(place, plant, dataset)

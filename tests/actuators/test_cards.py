@@ -13,8 +13,7 @@ from command_line import run
 
 from sysid.actuators import ActuatorCard, card_named, card_names
 from sysid.actuators.card import card_from
-from sysid.actuators.defaults import ISAACLAB, MJCF, joint_values
-from sysid.actuators.export import CARD, export_card
+from sysid.actuators.export import CARD, ISAACLAB, MJCF, export_card, joint_values
 from sysid.errors import SettingsError
 from sysid.export.drive_data import effect_slots
 from sysid.export.export import PAGE, target_named
@@ -71,6 +70,7 @@ def test_the_plant_of_a_card_has_its_values(name: str) -> None:
         assert known is not None
         assert {key: known.parameters[key] for key in item.parameters} == dict(item.parameters)
     assert len(card.model.uncertainty.places) > 0
+    assert card.model.origin["dataset_digest"] == card.data.digest
 
 
 def test_a_replayed_export_has_the_error_of_its_plant() -> None:
@@ -82,8 +82,9 @@ def test_a_replayed_export_has_the_error_of_its_plant() -> None:
 
 
 def test_an_unknown_card_is_refused_with_the_nearest() -> None:
-    with pytest.raises(SettingsError, match="no card 'emps-drve'.*'emps-drive'"):
+    with pytest.raises(SettingsError, match=r"no card 'emps-drve'.*'emps-drive'"):
         card_named("emps-drve")
+    assert run("gap", "arm", "--card", "emps-drve") == 2
 
 
 def test_a_card_with_an_unknown_key_is_refused() -> None:
@@ -105,7 +106,13 @@ def test_the_console_has_80_columns(args: tuple[str, ...], capsys: Any, monkeypa
 def test_the_console_shows_evidence(capsys: Any) -> None:
     assert run("actuators", "show", "emps-drive") == 0
     text = capsys.readouterr().out
-    for part in ("Dry friction of slide", "95 % interval", "noise floor", "Not shown by these data", "datasets/emps/recipe.toml"):
+    for part in (
+        "Dry friction of slide",
+        "95 % interval",
+        "noise floor",
+        "Not shown by these data",
+        "datasets/emps/recipe.toml",
+    ):
         assert part in text
 
 

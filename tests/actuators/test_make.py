@@ -36,7 +36,13 @@ drives = "joint"
 
 def arm(rotor: float) -> Plant:
     plant = nominal_plant(machine_from_files({"machine.toml": MACHINE, "r.urdf": URDF}, "test"))
-    links = {"mass": 0.01, "first_moment": [0.0] * 3, "inertia": [0.0] * 6, "rotor": rotor, "scale": 1.0}
+    links: dict[str, float | list[float]] = {
+        "mass": 0.01,
+        "first_moment": [0.0] * 3,
+        "inertia": [0.0] * 6,
+        "rotor": rotor,
+        "scale": 1.0,
+    }
     for item in (
         KnownEffect("viscous_friction", "arm", {"coefficient": 0.04}),
         KnownEffect("inertial_error", "arm", links),
