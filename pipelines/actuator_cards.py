@@ -87,6 +87,7 @@ class Set:
     conditions: tuple[str, ...]
     default: str
     identify: Callable[[Path, Workspace], Identified]
+    published: str = ""
 
 
 def identify_emps(raw: Path, place: Workspace) -> Identified:
@@ -189,6 +190,8 @@ SETS = {
         ("load: a pendulum of 0.49 kg at 0.1 m", "position control with gains 100, 200, 400 and 800, supply 7.4 V",
          "torque from the duty by the authors' kt 0.3867 N·m/A and R 4.017 Ω; viscous friction contains the motor's own brake"),
         "the motor without friction and without a rotor", identify_xl330,
+        "viscous friction 0.0409 N·m·s/rad with the motor's own brake, dry friction 0.0128 N·m, rotor 0.00181 kg·m² (m1, from "
+        "more logs)",
     ),
     "feetech-sts3215": Set(
         "Feetech STS3215 servo, six joints of an SO-101 arm", "sage_so101", "datasets/so101/recipe.toml",
@@ -208,6 +211,7 @@ SETS = {
         "github.com/forgi86/sysid-neural-continuous; Janot, Gautier and Brunot 2019", "none stated for the data",
         ("force from the controller output by 35.15 N/V", "moving mass 95.1 kg; temperature: not stated"),
         "the moving mass without friction", identify_emps,
+        "dry friction 20.1 and 20.6 N, viscous friction 167 and 240 N·s/m, by direction",
     ),
     "ak80-6-drives": Set(
         "Quasi-direct drives (T-Motor AK80-6) of a double pendulum", "double_pendulum", "datasets/double_pendulum/recipe.toml",
@@ -215,6 +219,7 @@ SETS = {
         ("torque as the drives report it", "load: links of 0.3 and 0.2 m with the authors' masses",
          "friction compensation of the controller: off; temperature: not stated"),
         "the authors' masses without friction and rotors", identify_pendulum,
+        "dry friction 0.093 N·m of the shoulder and 0.078 N·m of the elbow, rotors 0.00276 kg·m² at the joint",
     ),
     "rc-excavator-valves": Set(
         "Hydraulic valves and cylinders of an RC excavator", "rc_excavator", "datasets/rc_excavator/recipe.toml",
@@ -252,11 +257,13 @@ def made(name: str, about: Set, data: Path, place: Workspace) -> ActuatorCard:
     head = {key: value for key, value in provenance(command, None, ("mujoco-core",)).items() if key not in ("schema", "seed")}
     lineage = {"plant": place.models.find(found.result.plant_after).digest, "verdict": found.result.verdict}
 
+    published = (f"Published by the authors of the data: {about.published}",) if about.published else ()
+
     def card(again: Sequence[Any] = (), replays: Sequence[CardReplay] = ()) -> ActuatorCard:
         return card_of(
             name, about.title, found.dataset, found.result, repaired, source=about.source, licence=about.licence,
             recipe=about.recipe, conditions=(*about.conditions, *found.conditions), default=about.default,
-            made=head | lineage, loops=found.loops or {}, beside=found.beside, repeated=again, replays=replays,
+            made=head | lineage, loops=found.loops or {}, beside=(*published, *found.beside), repeated=again, replays=replays,
         )  # fmt: skip
 
     first = card()

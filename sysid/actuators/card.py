@@ -120,7 +120,7 @@ class ActuatorCard(Strict):
         machine_only: effects of the machine that the actuators move, which the plant of the card does not contain.
         assumed: values of the plant that no recording shows.
         loops: actuator → position loop of its servo, as its logs and data sheet state it; it is not identified.
-        beside: what other data show of the same actuator.
+        beside: what is published, and what other data show of the same actuator.
         repeated: parameters from other recordings.
         plant: ``plant.json`` of the actuators alone.
         made: command, commit, date and versions.

@@ -82,7 +82,7 @@ def remarks(card: ActuatorCard) -> dict[str, list[str]]:
         "Not shown by these data": [f"{why}: {', '.join(texts)}" for why, texts in unseen.items()],
         "Errors without a name": [f"{listed(i.targets)}: {i.why}" for i in card.not_shown if i.name == UNNAMED],
         "Again from recordings that the values are not from": [repetition_text(card)] if card.repeated else [],
-        "Other data of the same actuator": list(card.beside),
+        "Published, and from other data": list(card.beside),
         "Exported and replayed, error over that of the plant": list(_replays(card)),
         "Position loop, from logs and data sheet": [
             f"{axis}: kp {loop.kp:.3g}, force limit {loop.force_range[1]:.3g}" for axis, loop in card.loops.items()
