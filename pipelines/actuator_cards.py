@@ -216,10 +216,11 @@ SETS = {
     "ak80-6-drives": Set(
         "Quasi-direct drives (T-Motor AK80-6) of a double pendulum", "double_pendulum", "datasets/double_pendulum/recipe.toml",
         "github.com/dfki-ric-underactuated-lab/double_pendulum, design A.0", "BSD-3-Clause",
-        ("torque as the drives report it", "load: links of 0.3 and 0.2 m with the authors' masses",
-         "friction compensation of the controller: off; temperature: not stated"),
+        ("torque: the command to the motors, in which the friction compensation of one recording is contained",
+         "load: links of 0.3 and 0.2 m with the authors' masses", "temperature: not stated"),
         "the authors' masses without friction and rotors", identify_pendulum,
-        "dry friction 0.093 N·m of the shoulder and 0.078 N·m of the elbow, rotors 0.00276 kg·m² at the joint",
+        "0.093 and 0.078 N·m times arctan(100·speed), so dry friction 0.146 N·m of the shoulder and 0.123 N·m of the elbow; "
+        "rotors 0.00276 kg·m² at the joint",
     ),
     "rc-excavator-valves": Set(
         "Hydraulic valves and cylinders of an RC excavator", "rc_excavator", "datasets/rc_excavator/recipe.toml",
@@ -237,10 +238,10 @@ def main(data: Path, workspace: Path, only: str | None = None, publish: bool = F
     out = Printer()
     station, target = PipelineProgress(out), FOLDER if publish else workspace / "cards"
     target.mkdir(parents=True, exist_ok=True)
-    cards = []
+    cards, head = [], provenance("", None, ("mujoco-core",))  # before any card is replaced
     for name in [only] if only is not None else SETS:
         with station(name):
-            cards.append(made(name, SETS[name], data, open_workspace(workspace / name)))
+            cards.append(made(name, SETS[name], data, open_workspace(workspace / name), head))
         path = target / f"{name}.json"
         write_result(path, cards[-1].to_json())
         out.line(f"{path}: {error_text(cards[-1])}")
@@ -249,12 +250,12 @@ def main(data: Path, workspace: Path, only: str | None = None, publish: bool = F
     return cards
 
 
-def made(name: str, about: Set, data: Path, place: Workspace) -> ActuatorCard:
-    """The card of one set."""
+def made(name: str, about: Set, data: Path, place: Workspace, head: dict[str, Any]) -> ActuatorCard:
+    """The card of one set; ``head``: commit, versions and date."""
     found = about.identify(data / about.folder, place)
     repaired = place.plant(found.dataset, found.result.plant_after)
-    command = f"pipelines/actuator_cards.py DATA_FOLDER --only {name}"
-    head = {key: value for key, value in provenance(command, None, ("mujoco-core",)).items() if key not in ("schema", "seed")}
+    head = {key: value for key, value in head.items() if key not in ("schema", "seed")}
+    head["command"] = f"pipelines/actuator_cards.py DATA_FOLDER --only {name}"
     lineage = {"plant": place.models.find(found.result.plant_after).digest, "verdict": found.result.verdict}
 
     published = (f"Published by the authors of the data: {about.published}",) if about.published else ()

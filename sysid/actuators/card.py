@@ -79,12 +79,13 @@ class Repetition(Strict):
     """One parameter, estimated again from recordings that the card's value is not from.
 
     Args:
-        recordings: those of the estimate.
+        recordings: those of the estimate; ``kind``: of the value on the card.
         value: None where they do not show the effect.
         inside: whether the value lies in the interval of the card; ``overlaps``: whether the two intervals overlap.
     """
 
     recordings: str
+    kind: str
     name: str
     target: str
     parameter: str

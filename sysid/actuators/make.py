@@ -149,7 +149,7 @@ def _not_shown(result: GapResult) -> Iterator[NotShown]:
 
 
 def repetitions(card: Sequence[WrittenEffect], again: GapResult, recordings: str) -> Iterator[Repetition]:
-    """The named parameters of a card with an interval, as another result has them.
+    """The parameters of a card with an interval, as another result has them.
 
     Args:
         again: from recordings that the values of the card are not from.
@@ -157,12 +157,12 @@ def repetitions(card: Sequence[WrittenEffect], again: GapResult, recordings: str
     found = {(item.name, item.target, item.side): item for item in again.written}
     for item in card:
         other = found.get((item.name, item.target, item.side))
-        for key, ends in item.interval95.items() if item.kind == "named" else ():
+        for key, ends in item.interval95.items():
             value = None if other is None else other.parameters.get(key)
             if other is None or value is None:
-                yield Repetition(recordings, item.name, item.target, key, None, inside=False, overlaps=False)
+                yield Repetition(recordings, item.kind, item.name, item.target, key, None, inside=False, overlaps=False)
                 continue
             (low, high), own = np.asarray(ends, dtype=np.float64), np.asarray(value, dtype=np.float64)
             first, last = np.asarray(other.interval95.get(key, (own, own)), dtype=np.float64)
             inside, overlaps = ((low <= own) & (own <= high)).all(), ((first <= high) & (last >= low)).all()
-            yield Repetition(recordings, item.name, item.target, key, float(own), bool(inside), bool(overlaps))
+            yield Repetition(recordings, item.kind, item.name, item.target, key, float(own), bool(inside), bool(overlaps))

@@ -95,11 +95,16 @@ def remarks(card: ActuatorCard) -> dict[str, list[str]]:
 
 
 def repetition_text(card: ActuatorCard) -> str:
-    """How many values from other recordings lie in the intervals of the card."""
-    inside, overlapping = sum(r.inside for r in card.repeated), sum(r.overlaps for r in card.repeated)
-    missing = sum(r.value is None for r in card.repeated)
-    text = f"{inside} of {len(card.repeated)} in the card's intervals, {overlapping} with overlapping intervals"
-    return f"{text}, {missing} not found there" if missing else text
+    """How many values from other recordings lie in the intervals of the card, and have intervals that overlap with them."""
+    parts = []
+    for kind, word in (("named", "named"), ("tied", "tied"), ("adjusted", "without a name")):
+        own = [item for item in card.repeated if item.kind == kind]
+        if own:
+            inside, overlapping = sum(item.inside for item in own), sum(item.overlaps for item in own)
+            missing = sum(item.value is None for item in own)
+            absent = f", {missing} not found" if missing else ""
+            parts.append(f"{word}: {inside} of {len(own)} in the interval, {overlapping} overlapping{absent}")
+    return "; ".join(parts)
 
 
 def _inertias(card: ActuatorCard) -> Iterator[str]:

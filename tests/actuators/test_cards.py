@@ -46,7 +46,8 @@ def test_a_card_is_complete(name: str) -> None:
     assert all((Path(__file__).parents[2] / "datasets" / folder).is_dir() for folder in [card.data.recipe.split("/")[1]])
     assert {"command", "commit", "versions", "date", "plant"} <= card.made.keys()
     assert card.not_shown
-    assert any(item.kind == "named" for item in card.values)
+    assert card.values
+    assert card.repeated
     assert card.replays
     for item in card.values:
         assert item.kind != "adjusted" or item.why

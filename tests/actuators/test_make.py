@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.actuators import ActuatorCard, card_named
+from sysid.actuators import card_named
 from sysid.actuators.compare import compared, comparison_table
 from sysid.actuators.make import alone
 from sysid.effects.units import parameter_unit
@@ -84,18 +84,12 @@ def test_values_beside_those_of_a_card() -> None:
     assert cells[3:] == ("2.1×", "intervals apart")
 
 
-@pytest.fixture(scope="module")
-def remade(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> ActuatorCard:
+@pytest.mark.slow
+def test_a_card_made_again_has_the_values_of_the_one_that_ships(shared_data: Path, tmp_path: Path) -> None:
     import actuator_cards
 
-    folder = tmp_path_factory.mktemp("cards")
-    (card,) = actuator_cards.main(shared_data, folder, only="emps-drive")
-    assert (folder / "cards" / "emps-drive.json").is_file()
-    return card
-
-
-@pytest.mark.slow
-def test_a_card_made_again_has_the_values_of_the_one_that_ships(remade: ActuatorCard) -> None:
+    (remade,) = actuator_cards.main(shared_data, tmp_path, only="emps-drive")
+    assert (tmp_path / "cards" / "emps-drive.json").is_file()
     shipped = card_named("emps-drive")
     assert remade.data.digest == shipped.data.digest
     assert {(item.name, item.target) for item in remade.values} == {(item.name, item.target) for item in shipped.values}
@@ -104,10 +98,6 @@ def test_a_card_made_again_has_the_values_of_the_one_that_ships(remade: Actuator
             assert float(low) <= float(new.parameters[key]) <= float(high)  # type: ignore[arg-type]
     for new_error, old_error in zip(remade.errors, shipped.errors, strict=True):
         assert new_error.card == pytest.approx(old_error.card, rel=0.05)
-
-
-@pytest.mark.slow
-def test_the_export_of_a_card_made_again_replays_as_its_plant(remade: ActuatorCard) -> None:
     whole = remade.replays[0]
     assert whole.ratio is not None
     assert 0.9 < whole.ratio < 1.1
