@@ -100,7 +100,7 @@ def alone(plant: Plant) -> tuple[Plant, tuple[str, ...], tuple[str, ...]]:
     kept, left = list[KnownEffect](), list[KnownEffect]()
     for item in plant.effects:
         effect = effect_named(item.name)
-        of_axis = effect.target == "axis" and effect.stage in ("command", "force")
+        of_axis = effect.target == "axis" and effect.stage in ("command", "force", "joint")
         (kept if of_axis else left).append(item)
     text = _machine_text(plant, axes)
     bare = machine_from_files({"machine.toml": text}, f"actuators of {machine.name}")
@@ -115,7 +115,8 @@ def _machine_text(plant: Plant, axes: Sequence[Axis]) -> str:
     lines = ["schema = 1", f"name = {toml_value(machine.name)}", f"rate_hz = {machine.rate_hz}"]
     lines += [f"convention = {toml_value(machine.convention)}"] if machine.convention is not None else []
     for axis in axes:
-        keys = {key: getattr(axis, key) for key in ("name", "actuation", "drives", "joint_type", "inertia", "limits")}
+        names = ("name", "actuation", "drives", "joint_type", "inertia", "limits", "stroke")
+        keys = {key: getattr(axis, key) for key in names} | ({"gain": axis.gain} if axis.actuation == "velocity" else {})
         lines += ["", "[[axes]]", *(f"{key} = {toml_value(value)}" for key, value in keys.items() if value is not None)]
         if axis.servo is not None:
             law = {key: getattr(axis.servo, key) for key in ("kp", "kv", "force_limit")}

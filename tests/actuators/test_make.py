@@ -70,6 +70,17 @@ def test_an_inertia_that_no_recording_shows_is_assumed_and_said() -> None:
     assert assumed == ("inertia of arm: 1 kg·m²",)
 
 
+def test_a_valve_on_a_machine_with_links_keeps_its_gain_and_backlash() -> None:
+    text = MACHINE.replace('"force"', '"velocity"') + "gain = 0.7\n"
+    plant = nominal_plant(machine_from_files({"machine.toml": text, "r.urdf": URDF}, "test"))
+    for name, values in (("backlash", {"width": 0.01}), ("link_length_error", {"error": 0.002})):
+        plant = plant.with_effect(KnownEffect(name, "arm", dict(values)))
+    found, machine_only, _ = alone(plant)
+    assert found.machine.axis("arm").gain == 0.7
+    assert [item.name for item in found.effects] == ["backlash"]
+    assert machine_only == ("Link length error of arm",)
+
+
 def test_values_beside_those_of_a_card() -> None:
     card = card_named("emps-drive")
     theirs = next(item for item in card.values if item.name == "coulomb_friction")
