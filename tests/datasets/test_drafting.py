@@ -253,6 +253,51 @@ def test_recordings_that_all_follow_are_not_asked(tmp_path: Path) -> None:
     assert [q.key for q in described(tmp_path / "logs").questions] == ["position_unit"]
 
 
+def test_a_force_may_be_against_its_motion(tmp_path: Path) -> None:
+    """Below its resonance a pendulum follows a torque, above it moves against it."""
+    time = np.arange(600) / 50.0
+    for k, (size, rate) in enumerate(((1.0, 1.0), (0.5, 1.2), (-0.2, 9.0))):
+        table = {"t": time, "tau": np.sin(rate * time), "angle": size * np.sin(rate * time)}
+        pd.DataFrame(table).to_csv(tmp_path / f"run{k}.csv", index=False)
+    for kind in (None, "force"):
+        assert "left_out" not in [q.key for q in described(tmp_path, kind=kind).questions]
+
+
+def test_a_column_that_is_empty_in_a_file_has_no_line_for_it(tmp_path: Path) -> None:
+    time, folder = np.arange(300) / 50.0, tmp_path / "logs"
+    folder.mkdir()
+    for k in range(3):
+        table = {"t": time}
+        for axis in (1, 2):
+            goal = np.sin(axis * time + k)
+            table |= {f"goal ({axis})": goal, f"pos ({axis})": np.interp(time - 0.1, time, goal)}
+        if k == 1:
+            table |= {"goal (2)": np.nan * time, "pos (2)": np.nan * time}
+        pd.DataFrame(table).to_csv(folder / f"run{k}.csv", index=False)
+    found = described(folder, {"position_unit": "rad"})
+    assert "run1: no number in goal (2) and pos (2)" in found.left_out
+    (folder / "machine.toml").write_text(found.machine)
+    (folder / "recipe.toml").write_text(found.recipe)
+    dataset = ingest(folder, tmp_path / "w", recipe=folder / "recipe.toml")
+    measured = {r.name: np.isfinite(r.values("axis_2.joint")).any() for r in dataset.recordings}
+    assert measured == {"run0": True, "run1": False, "run2": True}
+
+
+PENDULUM = """<robot name="pendulum">
+<link name="bob"><inertial><origin xyz="0 0 -0.5"/><mass value="1"/></inertial></link>
+<joint name="swing" type="continuous"><parent link="world"/><child link="bob"/><axis xyz="0 1 0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(("column", "actuation"), [("swing_tau", "force"), ("swing_desired", "position")])
+def test_what_the_robots_file_does_not_state_is_as_the_data_show(tmp_path: Path, column: str, actuation: str) -> None:
+    time = np.arange(600) / 50.0
+    pd.DataFrame({"t": time, column: np.sin(time + 0.1), "swing_angle": np.sin(time)}).to_csv(tmp_path / "run.csv", index=False)
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM)
+    drafted = draft(tmp_path, "m", tmp_path / "pendulum.urdf", None, {}, None)
+    assert f'actuation = "{actuation}"' in drafted.description.machine
+    assert drafted.description.axes == ("swing",)
+
+
 def test_a_command_without_effect_in_some_recordings_is_a_cause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with_the_motor_off(tmp_path / "logs", (1, 4))
     answers = ["--set", "position_unit=rad", "--set", "left_out=none"]
