@@ -102,7 +102,7 @@ def bands(log: pd.DataFrame, of: Log) -> tuple[dict[int, Bools], Bools]:
 
 
 def deviations(log: pd.DataFrame, of: Log) -> dict[str, float]:
-    """Mean angle with a band stretched, and slack after it, of one pull minus the other [counts]; mean duty of the latter [‰]."""
+    """Mean angle with a band stretched, and slack after it, of one pull minus the other [counts]; mean duty of that [‰]."""
     pulls, slack = bands(log, of)
     angle, duty = log[f"pos ({of.servo})"].to_numpy(float), duty_of(log, of)
     means, resting = dict[str, list[float]](), list[Array]()
