@@ -199,9 +199,10 @@ def draft(
             summaries.append(inspect_file(path, reader, rate_hz=rate_hz))
     found = describe(summaries, folder, name, Answers(given), kind, drafted)
     if robot is not None and unstated is not None:
-        if (kind := found.kind) is None:
+        unsure = any(question.key.endswith("actuation") for question in found.questions)
+        if found.kind is None or unsure:
             raise unstated
-        drafted, beside = _robot_files(robot, name, kind)
+        drafted, beside = _robot_files(robot, name, found.kind)
         found = describe(summaries, folder, name, Answers(given), kind, drafted)
     while ask is not None and found.questions and (further := ask(found)):
         given |= further

@@ -291,11 +291,24 @@ PENDULUM = """<robot name="pendulum">
 @pytest.mark.parametrize(("column", "actuation"), [("swing_tau", "force"), ("swing_desired", "position")])
 def test_what_the_robots_file_does_not_state_is_as_the_data_show(tmp_path: Path, column: str, actuation: str) -> None:
     time = np.arange(600) / 50.0
-    pd.DataFrame({"t": time, column: np.sin(time + 0.1), "swing_angle": np.sin(time)}).to_csv(tmp_path / "run.csv", index=False)
+    given = np.sign(np.sin(time)) + np.sin(2.3 * time)
+    table = {"t": time, column: given, "swing_angle": np.interp(time - 0.1, time, given)}
+    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
     (tmp_path / "pendulum.urdf").write_text(PENDULUM)
     drafted = draft(tmp_path, "m", tmp_path / "pendulum.urdf", None, {}, None)
     assert f'actuation = "{actuation}"' in drafted.description.machine
     assert drafted.description.axes == ("swing",)
+
+
+def test_what_neither_robot_nor_data_state_is_asked(tmp_path: Path) -> None:
+    time = np.arange(600) / 50.0
+    table = {"t": time, "swing_desired": np.sin(time), "swing_angle": 0.6 * np.sin(time) + 0.5 * np.sin(3.3 * time + 1.0)}
+    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM)
+    with pytest.raises(SettingsError, match="Add --kind servo"):
+        draft(tmp_path, "m", tmp_path / "pendulum.urdf", None, {}, None)
+    drafted = draft(tmp_path, "m", tmp_path / "pendulum.urdf", None, {"actuation": "force"}, None)
+    assert 'actuation = "force"' in drafted.description.machine
 
 
 def test_a_command_without_effect_in_some_recordings_is_a_cause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
