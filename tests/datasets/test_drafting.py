@@ -244,6 +244,7 @@ def test_recordings_in_which_the_command_does_not_act_are_asked(tmp_path: Path, 
     assert run("--workspace", tmp_path / "w", "start", tmp_path / "logs", "--out", tmp_path / "m", *answers) == 0
     shown = capsys.readouterr().out
     assert "left out: run4: position goes against goal_position" in shown
+    assert "commands are positions" in shown
     assert "SEVERE" not in shown
     assert "2 files left out by the recipe" in shown.replace("\n", " ")
 
