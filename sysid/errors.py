@@ -48,6 +48,10 @@ class SettingsError(SysidError):
     """A key, value or name in a TOML file or on the command line is wrong."""
 
 
+class UnknownDriveError(SettingsError):
+    """A robot's file does not state how a joint is commanded: ``--kind`` does, or logs show it."""
+
+
 class AlignmentError(SysidError):
     """Two clocks cannot be aligned from what was recorded."""
 

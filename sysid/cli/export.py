@@ -1,4 +1,4 @@
-"""``sysid export PLANT --to TARGET``: the repaired simulation for another simulator, with its replay."""
+"""``sysid export PLANT --to TARGET``: the repaired simulation, or the card of an actuator, for another simulator."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAMES = ("mjcf", "urdf", "sdf", "isaaclab", "newton", "fmu", "simulink", "lut", 
 
 
 @click.command()
-@click.argument("reference", metavar="PLANT[@VERSION]")
+@click.argument("reference", metavar="PLANT[@VERSION] | actuators/NAME")
 @click.option("--to", "target", required=True, metavar="TARGET", help=f"{', '.join(NAMES)}.")
 @click.option(
     "--out",
@@ -40,10 +40,14 @@ def export(
     location: str, reference: str, target: str, folder: Path, dataset: str | None, samples: int, seed: int, force: bool,
     json_file: str | None,
 ) -> None:  # fmt: skip
-    """Write a plant for another simulator, and keep it only if it replays the held-out recordings as the plant does."""
+    """Write a plant for another simulator, and keep it only if it replays the held-out recordings as the plant does.
+
+    The card of an actuator (`sysid actuators`) is written in the same way, without a replay.
+    """
     out = Printer(json_file)
     with progress_bar("export") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
+        from sysid.actuators import is_card
         from sysid.export.export import check_folder, target_named
         from sysid.front import files
         from sysid.workspace import open_workspace
@@ -51,12 +55,12 @@ def export(
         target_named(target)
         check_folder(folder)
         workspace = open_workspace(location)
-        recorded = files.replayed_dataset(workspace, reference, dataset)
+        recorded = None if is_card(reference) else files.replayed_dataset(workspace, reference, dataset)
         made = files.export(
-            reference, target, folder, dataset=recorded, workspace=workspace, samples=samples, seed=seed, force=force,
-            progress=progress,
+            reference, target, folder, dataset=recorded or dataset, workspace=workspace, samples=samples, seed=seed,
+            force=force, progress=progress,
         )  # fmt: skip
-    _show(out, made, recorded.units)
+    _show(out, made, recorded.units if recorded is not None else {})
     write_json(json_file, made.to_json())
 
 
@@ -67,7 +71,7 @@ def _show(out: Printer, made: Export, units: Mapping[str, str]) -> None:
     for item in made.lacking:
         out.line(f"not representable: {item}")
     if made.replay is None:
-        out.line("Not run here: the simulator is not installed. The files were checked against their format alone.")
+        out.line(made.unreplayed)
         return
     rows = []
     for row in made.replay.rows:

@@ -6,6 +6,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,6 +18,7 @@ from sysid.cli.output import Printer, cluster_option, command, json_option, prog
 from sysid.errors import InputError, SettingsError, nearest
 
 if TYPE_CHECKING:
+    from sysid.actuators import ActuatorCard
     from sysid.datasets.recording import Dataset
     from sysid.gap import Simulator
     from sysid.gap.adapters.adapter import SimulatorAdapter
@@ -148,6 +150,23 @@ def write_model(
     }
 
 
+def _card(name: str | None) -> ActuatorCard | None:
+    if name is None:
+        return None
+    from sysid.actuators import card_named
+
+    return card_named(name)
+
+
+def show_card(out: Printer, card: ActuatorCard, result: GapResult) -> dict[str, Any]:
+    """The values of a result beside those of a card; returns them as values for JSON."""
+    from sysid.actuators.compare import compared, comparison_table
+
+    rows = list(compared(card, result.written))
+    out.show(comparison_table(card, rows))
+    return {"name": card.name, "values": [{**asdict(row), "ratio": row.ratio} for row in rows]}
+
+
 Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
 
 
@@ -197,6 +216,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     metavar="KEY",
     help="Continue although this is implausible: the key of a severe finding, or a glob such as 'boom.*'; may be repeated.",
 )
+@click.option("--card", default=None, metavar="NAME", help="Compare with the card of an actuator: sysid actuators.")
 @workers_option
 @cluster_option()
 @click.option("--verbose", is_flag=True, help="Every near miss and next step, at full length.")
@@ -215,6 +235,7 @@ def gap(
     carry: bool,
     forms: Forms,
     accept: tuple[str, ...],
+    card: str | None,
     workers: int,
     cluster: str | None,
     trusted_network: bool,
@@ -245,6 +266,7 @@ def gap(
     if mjcf is not None and add and out_file is None:
         out_file = repaired_path(mjcf)
     out = Printer(json_file)
+    known = _card(card)
     data = Store(location).load(reference)
     check_needs(data)  # before anything is compiled
     with progress_bar("gap") as progress:
@@ -304,6 +326,8 @@ def gap(
             )
         out.line(f"Report: {command('report', dataset.reference, workspace=location)}")
     written = result.to_json(folder)
+    if known is not None:
+        written["card"] = show_card(out, known, result)
     try:  # the answer is written whatever happens to the files beside it
         if localise:
             page = write_report(workspace.output("localise.html", dataset), workspace.report_inputs(dataset, result))

@@ -138,6 +138,10 @@ def _show_description(out: Printer, found: Description, folder: Path, yes: bool)
     """
     for axis in found.axes:
         out.line(f"axis  {axis}")
+    if found.kind is not None:
+        from sysid.machine.sources.draft import KINDS as ARE
+
+        out.line(f"commands are {ARE[found.kind]}")
     for line in found.left_out:
         out.entry(f"left out: {line}")
     for question in found.questions:

@@ -58,6 +58,7 @@ VERBS: dict[str, Verb] = {
     "gap": Verb("sysid.cli.gap:gap", "Name the effects that the simulation lacks."),
     "fleet": Verb("sysid.cli.fleet:fleet", "Compare many machines of one type, and watch them for drift."),
     "export": Verb("sysid.cli.export:export", "Write a plant for another simulator, with its replay."),
+    "actuators": Verb("sysid.cli.actuators:actuators", "List the cards of identified actuators, or show one."),
     "view": Verb("sysid.cli.view:view", "Write a Rerun recording of the moving machine."),
     "report": Verb("sysid.cli.view:report", "Write the HTML report of a dataset."),
     "ui": Verb("sysid.cli.ui:ui", "Write the workspace as linked pages, or serve them."),

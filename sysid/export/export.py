@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import shutil
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -60,6 +60,7 @@ def fallback(target: Target, plant: Plant) -> Target | None:
 
 
 REPLAY, PAGE = "replay.json", "README.md"
+NOT_INSTALLED = "Not run here: the simulator is not installed. The files were checked against their format alone."
 #: Draws of the parameters that are written.
 SAMPLES, SEED = 1000, 0
 
@@ -70,7 +71,7 @@ class Export:
 
     Args:
         files: names in ``folder``, the main one first.
-        replay: None where the simulator does not run here.
+        replay: None where it was not run; ``unreplayed``: why.
         lacking: effects that the target cannot represent.
         renamed: parts of the machine that have other names in the files.
     """
@@ -82,6 +83,7 @@ class Export:
     replay: Replay | None
     lacking: tuple[str, ...]
     renamed: tuple[Renamed, ...] = ()
+    unreplayed: str = NOT_INSTALLED
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -93,26 +95,35 @@ class Export:
             "not_representable": list(self.lacking),
             "renamed": [asdict(part) for part in self.renamed],
             "replay": None if self.replay is None else self.replay.to_json(),
+            "not_replayed": self.unreplayed if self.replay is None else "",
         }
+
+
+def nothing_beside(folder: Path) -> tuple[str, ...]:
+    """No further files of an export."""
+    return ()
 
 
 def export_plant(
     plant: Plant,
-    dataset: Dataset,
+    dataset: Dataset | None,
     target: Target,
     folder: Path,
     *,
     force: bool = False,
     samples: int = SAMPLES,
     seed: int = SEED,
+    beside: Callable[[Path], tuple[str, ...]] = nothing_beside,
+    unreplayed: str = NOT_INSTALLED,
 ) -> Export:
     """Write a plant for another simulator.
 
     Args:
-        dataset: its held-out recordings are replayed.
+        dataset: its held-out recordings are replayed; None: nothing is, and ``unreplayed`` says why.
         folder: new, empty, or that of an earlier export, which is replaced.
         force: keep an export that does not agree with the plant.
         samples, seed: draws of the parameters.
+        beside: writes further files into the folder and returns their names.
 
     Raises:
         SettingsError: the folder contains something else, the target cannot represent the machine, or the export does not agree
@@ -120,8 +131,8 @@ def export_plant(
         ExcitationError: no held-out recording can be replayed.
     """
     check_folder(folder)
-    # The dataset may have another rate than that from which the plant comes; files and replay have one.
-    plant = replace(plant, machine=replace(plant.machine, rate_hz=dataset.machine.rate_hz))
+    if dataset is not None:  # it may have another rate than that from which the plant comes; files and replay have one
+        plant = replace(plant, machine=replace(plant.machine, rate_hz=dataset.machine.rate_hz))
     if moves_masses(plant.machine) and not target.arms:
         where = f"export of {plant.reference or plant.machine.name} to {target.name}"
         arms = "force axes that move links with masses, whose motion is that of a rigid-body simulation"
@@ -138,14 +149,15 @@ def export_plant(
     half.mkdir()
     try:
         with written_to(half, folder):
-            found = _write(plant, dataset, target, half, folder, samples, seed)
+            found = _write(plant, dataset, target, half, folder, samples, seed, beside, unreplayed)
             while found.replay is not None and not found.replay.agrees and (simpler := fallback(target, plant)) is not None:
                 shutil.rmtree(half)
                 half.mkdir()
                 target = simpler
-                found = _write(plant, dataset, target, half, folder, samples, seed)
+                found = _write(plant, dataset, target, half, folder, samples, seed, beside, unreplayed)
         if found.replay is not None and not found.replay.agrees and not force:
-            raise SettingsError(f"export of {found.plant} to {target.name}", *_disagreement(found, dataset.units))
+            units = dataset.units if dataset is not None else {}
+            raise SettingsError(f"export of {found.plant} to {target.name}", *_disagreement(found, units))
         if folder.exists():
             shutil.rmtree(folder)
         half.rename(folder)
@@ -164,17 +176,19 @@ def check_folder(folder: Path) -> None:
 
 
 def _write(
-    plant: Plant, dataset: Dataset, target: Target, half: Path, folder: Path, samples: int, seed: int
+    plant: Plant, dataset: Dataset | None, target: Target, half: Path, folder: Path, samples: int, seed: int,
+    beside: Callable[[Path], tuple[str, ...]], unreplayed: str,
 ) -> Export:  # fmt: skip
     rate = plant.machine.rate_hz
-    files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half))
-    simulation = target.simulation(plant, half)
-    found = None if simulation is None else _replayed(plant, simulation, dataset, target.resolution)
+    files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half), *beside(half))
+    simulation = target.simulation(plant, half) if dataset is not None else None
+    found = None if simulation is None or dataset is None else _replayed(plant, simulation, dataset, target.resolution)
     names = (*files, REPLAY, PAGE)
     reference, renamed = plant.reference or plant.machine.name, target.names(plant).changed
-    made = Export(reference, target.name, folder, names, found, tuple(lacking(plant, target)), renamed)
-    (half / REPLAY).write_text(json.dumps({**made.to_json(), "dataset": dataset.reference}, indent=1), "utf-8")
-    (half / PAGE).write_text(export_page(plant, target, rate, names, found, dataset.units), "utf-8")
+    made = Export(reference, target.name, folder, names, found, tuple(lacking(plant, target)), renamed, unreplayed)
+    source, units = (dataset.reference, dataset.units) if dataset is not None else (None, {})
+    (half / REPLAY).write_text(json.dumps({**made.to_json(), "dataset": source}, indent=1), "utf-8")
+    (half / PAGE).write_text(export_page(plant, target, rate, names, found or unreplayed, units), "utf-8")
     shutil.rmtree(half / "__pycache__", ignore_errors=True)
     return made
 

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from sysid.display import quantity
-from sysid.effects import effect_named
+from sysid.effects import Effect, effect_named
 from sysid.effects.units import parameter_unit
 from sysid.effects.wording import title_of
 from sysid.export.names import Renamed
 from sysid.export.posterior import RANGES, SAMPLES, WARNING
 from sysid.export.replay import ROUNDING, RUN, SHARE, Replay
-from sysid.export.target import Target
+from sysid.export.target import Support, Target
 from sysid.machine import KnownEffect
+from sysid.machine.rigid_body import moves_masses
 from sysid.plant import Plant
 from sysid.quoting import code, markdown
 from sysid.signals import split_signal
 
+#: Kinds of axes that may move links with masses.
+LINKED: tuple[Literal["force", "servo"], ...] = ("force", "servo")
 KINDS = {
     "native": "native",
     "composed": "composed",
@@ -29,12 +32,12 @@ KINDS = {
 
 
 def export_page(
-    plant: Plant, target: Target, rate_hz: float, files: Sequence[str], found: Replay | None, units: Mapping[str, str]
+    plant: Plant, target: Target, rate_hz: float, files: Sequence[str], found: Replay | str, units: Mapping[str, str]
 ) -> str:
     """The page as Markdown.
 
     Args:
-        found: the replay; None where the simulator does not run here.
+        found: the replay, or why it was not run.
         units: of the measured signals.
     """
     reference = plant.reference or plant.machine.name
@@ -92,7 +95,7 @@ def _effects(plant: Plant, target: Target) -> list[str]:
     rows = ["| effect | target | parameters | represented | how |", "| --- | --- | --- | --- | --- |"]
     for item in plant.effects:
         effect = effect_named(item.name)
-        support = target.support(effect)
+        support = support_in(plant, target, effect)
         where = f"{item.target}{f', {item.side}' if item.side else ''}"
         title = title_of(effect, item.target, plant.machine)
         cells = (
@@ -118,9 +121,9 @@ def _values(plant: Plant, item: KnownEffect) -> str:
     return "; ".join(values)
 
 
-def _replay(target: Target, found: Replay | None, units: Mapping[str, str]) -> list[str]:
-    if found is None:
-        return [f"Not run here: {target.title} is not installed. The files were checked against their format alone.\n"]
+def _replay(target: Target, found: Replay | str, units: Mapping[str, str]) -> list[str]:
+    if isinstance(found, str):
+        return [f"{found}\n"]
     where = f"{markdown(', '.join(found.recordings))} ({found.seconds:.0f} s)"
     if found.kind == "forces":
         head = (
@@ -165,7 +168,14 @@ def _uncertainty(plant: Plant, files: Sequence[str]) -> list[str]:
     return [f"`{SAMPLES}` holds joint draws of {count} parameters, `{RANGES}` their ranges. {WARNING}\n"]
 
 
+def support_in(plant: Plant, target: Target, effect: Effect) -> Support:
+    """How a target represents an effect of a plant; one of links needs their masses."""
+    if effect.of_links and not any(moves_masses(plant.machine, actuation) for actuation in LINKED):
+        return Support("not_representable", "it acts by the torque of links, and the machine describes none")
+    return target.support(effect)
+
+
 def lacking(plant: Plant, target: Target) -> list[str]:
     """Effects of a plant that the target cannot represent, ``name on target``."""
-    missing = [e for e in plant.effects if target.support(effect_named(e.name)).kind == "not_representable"]
+    missing = [e for e in plant.effects if support_in(plant, target, effect_named(e.name)).kind == "not_representable"]
     return [f"{e.name} on {e.target}" for e in missing] + [f"unnamed_residual on {r.target}" for r in plant.residuals]

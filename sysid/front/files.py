@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sysid.actuators import card_named, card_names, is_card
+from sysid.actuators.export import export_card
 from sysid.datasets import Dataset
-from sysid.errors import StoreError
+from sysid.errors import SettingsError, StoreError
 from sysid.export.export import SAMPLES, SEED, Export, check_folder, export_plant, target_named
 from sysid.front.place import Place, dataset_in, shown
 from sysid.front.place import open as opened
@@ -33,7 +36,7 @@ def export(
     """Write a stored plant for another simulator, and keep it only if it replays the held-out recordings as the plant does.
 
     Args:
-        plant: ``name`` or ``name@version``.
+        plant: ``name`` or ``name@version``; or a card of an actuator (``actuators/NAME``), which is not replayed.
         target: mjcf, urdf, sdf, isaaclab, newton, fmu, simulink, lut or json.
         out: a new folder, or that of an earlier export.
         dataset: whose held-out recordings are replayed; default: that of the plant.
@@ -48,6 +51,10 @@ def export(
     with shown(progress, "export") as report:
         chosen, folder = target_named(target), Path(out)
         check_folder(folder)
+        if is_card(plant):
+            if dataset is not None:
+                raise SettingsError("sysid export", f"--dataset {dataset} with a card", "a card alone, which has no recordings")
+            return export_card(card_named(plant), chosen, folder, samples=samples, seed=seed)
         place = opened(workspace)
         data = replayed_dataset(place, plant, dataset)
         report(0.1, "writing and replaying")
@@ -60,7 +67,12 @@ def replayed_dataset(workspace: Workspace, plant: str, dataset: Dataset | str | 
     Raises:
         StoreError: no such plant or dataset, or a plant without a dataset in its lineage.
     """
-    source = dataset or workspace.models.find(plant).lineage.get("dataset")
+    try:
+        source = dataset or workspace.models.find(plant).lineage.get("dataset")
+    except StoreError as error:
+        close = difflib.get_close_matches(plant, card_names(), n=1)
+        remedy = f"{error.remedy} Or the card actuators/{close[0]}?".strip() if close else error.remedy
+        raise StoreError(error.where, error.found, error.expected, remedy) from None
     if not isinstance(source, str | Dataset):
         raise StoreError(f"model {plant}", "no dataset in its lineage", "--dataset NAME, whose recordings are replayed")
     return dataset_in(workspace, source)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, UnknownDriveError
 from sysid.front.place import Place, location_of, shown
 from sysid.numbers import Positive, number
 from sysid.root import Root
@@ -184,7 +184,12 @@ def draft(
     from sysid.names import slug
 
     name = name or slug(folder.resolve().name, "machine").replace("-", "_")
-    drafted, beside = _robot_files(robot, name, kind) if robot is not None else (None, dict[str, str]())
+    drafted, beside, unstated = None, dict[str, str](), None
+    if robot is not None:
+        try:
+            drafted, beside = _robot_files(robot, name, kind)
+        except UnknownDriveError as error:  # as the data show, then
+            unstated = error
     given = dict(answers)
     rate_hz = number(given.pop("rate_hz"), Positive, "--set rate_hz") if "rate_hz" in given else None
     paths, summaries = log_files((folder,), reader), []
@@ -193,6 +198,12 @@ def draft(
             report(done / len(paths), path.name)
             summaries.append(inspect_file(path, reader, rate_hz=rate_hz))
     found = describe(summaries, folder, name, Answers(given), kind, drafted)
+    if robot is not None and unstated is not None:
+        unsure = any(question.key.endswith("actuation") for question in found.questions)
+        if found.kind is None or unsure:
+            raise unstated
+        drafted, beside = _robot_files(robot, name, found.kind)
+        found = describe(summaries, folder, name, Answers(given), kind, drafted)
     while ask is not None and found.questions and (further := ask(found)):
         given |= further
         found = describe(summaries, folder, name, Answers(given, frozenset(given)), kind, drafted)

@@ -35,6 +35,8 @@ Array = npt.NDArray[np.float64]
 #: The largest URDF of the ROS drivers has 900 elements.
 MAX_ELEMENTS = 50_000
 MAX_JOINTS = 500
+#: The link that is the ground where it is not described (Drake, *Parsing models*: the reserved link ``world``).
+GROUND = "world"
 #: Kinds of joint that an axis can move; a ``floating`` or ``planar`` one is no single motion.
 MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")
@@ -94,7 +96,8 @@ def urdf_tree(text: str) -> Element:
 
     Removed are axis, limits, dynamics and mimic of joints that do not move, shapes without an extent, repeated elements, and
     end stops of more than 10⁹ rad or m, as of exporters that write ±10¹⁶ or ±inf for none: such a revolute joint becomes
-    continuous. An axis without a direction is along x, the default of URDF.
+    continuous. An axis without a direction is along x, the default of URDF. A parent ``world`` that is not described is added:
+    the ground, as in Drake.
 
     Raises:
         SettingsError: not XML, a DTD, another root, a xacro; too deep or too large; a number that is invalid, not finite or of
@@ -119,6 +122,8 @@ def urdf_tree(text: str) -> Element:
         where = f"urdf: {part.tag} {shown(part.get('name', ''))}" if part.tag in ("joint", "link") else "urdf"
         for element in part.iter():
             _check_numbers(element, where)
+    if is_bare_ground(root):
+        root.insert(0, Element("link", {"name": GROUND}))
     _check_tree(root)
     return root
 
@@ -180,6 +185,12 @@ def _check_names(root: Element) -> None:
     for element in root:
         if element.tag in ("joint", "link") and not element.get("name"):
             raise SettingsError("urdf", f"a <{element.tag}> without a name", f'<{element.tag} name="…">')
+
+
+def is_bare_ground(root: Element) -> bool:
+    """Whether joints hang on the link :data:`GROUND` and nothing describes it."""
+    parents = {part.get("link") for joint in root.findall("joint") for part in joint.findall("parent")}
+    return GROUND in parents and all(link.get("name") != GROUND for link in root.findall("link"))
 
 
 def _remove_meaningless(joint: Element) -> None:

@@ -32,7 +32,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("registry", "validate", "testing", "world"),
     ("gap", "versions"),
     ("reports", "export"),
-    ("view",),
+    ("view", "actuators"),
     ("workspace",),
     ("model_versions", "fleet"),
     ("site", "front"),

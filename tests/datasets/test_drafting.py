@@ -244,6 +244,7 @@ def test_recordings_in_which_the_command_does_not_act_are_asked(tmp_path: Path, 
     assert run("--workspace", tmp_path / "w", "start", tmp_path / "logs", "--out", tmp_path / "m", *answers) == 0
     shown = capsys.readouterr().out
     assert "left out: run4: position goes against goal_position" in shown
+    assert "commands are positions" in shown
     assert "SEVERE" not in shown
     assert "2 files left out by the recipe" in shown.replace("\n", " ")
 
@@ -251,6 +252,64 @@ def test_recordings_in_which_the_command_does_not_act_are_asked(tmp_path: Path, 
 def test_recordings_that_all_follow_are_not_asked(tmp_path: Path) -> None:
     with_the_motor_off(tmp_path / "logs", ())
     assert [q.key for q in described(tmp_path / "logs").questions] == ["position_unit"]
+
+
+def test_a_force_may_be_against_its_motion(tmp_path: Path) -> None:
+    """Below its resonance a pendulum follows a torque, above it moves against it."""
+    time = np.arange(600) / 50.0
+    for k, (size, rate) in enumerate(((1.0, 1.0), (0.5, 1.2), (-0.2, 9.0))):
+        table = {"t": time, "tau": np.sin(rate * time), "angle": size * np.sin(rate * time)}
+        pd.DataFrame(table).to_csv(tmp_path / f"run{k}.csv", index=False)
+    for kind in (None, "force"):
+        assert "left_out" not in [q.key for q in described(tmp_path, kind=kind).questions]
+
+
+def test_a_column_that_is_empty_in_a_file_has_no_line_for_it(tmp_path: Path) -> None:
+    time, folder = np.arange(300) / 50.0, tmp_path / "logs"
+    folder.mkdir()
+    for k in range(3):
+        table = {"t": time}
+        for axis in (1, 2):
+            goal = np.sin(axis * time + k)
+            table |= {f"goal ({axis})": goal, f"pos ({axis})": np.interp(time - 0.1, time, goal)}
+        if k == 1:
+            table |= {"goal (2)": np.nan * time, "pos (2)": np.nan * time}
+        pd.DataFrame(table).to_csv(folder / f"run{k}.csv", index=False)
+    found = described(folder, {"position_unit": "rad"})
+    assert "run1: no number in goal (2) and pos (2)" in found.left_out
+    (folder / "machine.toml").write_text(found.machine)
+    (folder / "recipe.toml").write_text(found.recipe)
+    dataset = ingest(folder, tmp_path / "w", recipe=folder / "recipe.toml")
+    measured = {r.name: np.isfinite(r.values("axis_2.joint")).any() for r in dataset.recordings}
+    assert measured == {"run0": True, "run1": False, "run2": True}
+
+
+PENDULUM = """<robot name="pendulum">
+<link name="bob"><inertial><origin xyz="0 0 -0.5"/><mass value="1"/></inertial></link>
+<joint name="swing" type="continuous"><parent link="world"/><child link="bob"/><axis xyz="0 1 0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(("column", "actuation"), [("swing_tau", "force"), ("swing_desired", "position")])
+def test_what_the_robots_file_does_not_state_is_as_the_data_show(tmp_path: Path, column: str, actuation: str) -> None:
+    time = np.arange(600) / 50.0
+    given = np.sign(np.sin(time)) + np.sin(2.3 * time)
+    table = {"t": time, column: given, "swing_angle": np.interp(time - 0.1, time, given)}
+    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM)
+    drafted = draft(tmp_path, "m", tmp_path / "pendulum.urdf", None, {}, None)
+    assert f'actuation = "{actuation}"' in drafted.description.machine
+    assert drafted.description.axes == ("swing",)
+
+
+def test_what_neither_robot_nor_data_state_is_asked(tmp_path: Path) -> None:
+    time = np.arange(600) / 50.0
+    table = {"t": time, "swing_desired": np.sin(time), "swing_angle": 0.6 * np.sin(time) + 0.5 * np.sin(3.3 * time + 1.0)}
+    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM)
+    with pytest.raises(SettingsError, match="Add --kind servo"):
+        draft(tmp_path, "m", tmp_path / "pendulum.urdf", None, {}, None)
+    drafted = draft(tmp_path, "m", tmp_path / "pendulum.urdf", None, {"actuation": "force"}, None)
+    assert 'actuation = "force"' in drafted.description.machine
 
 
 def test_a_command_without_effect_in_some_recordings_is_a_cause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

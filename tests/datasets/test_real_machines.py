@@ -21,13 +21,20 @@ def test_the_files_are_those_the_readme_lists(shared_data: Path, datasets_folder
 
 
 @pytest.mark.parametrize(
-    ("name", "folder"), [("xl330", "bam_xl330"), ("so101", "sage_so101"), ("hydraulic_actuator", "hyd_actuator")]
+    ("name", "folder", "count"),
+    [
+        ("xl330", "bam_xl330", 16),
+        ("so101", "sage_so101", 8),
+        ("hydraulic_actuator", "hyd_actuator", 2),
+        ("double_pendulum", "double_pendulum", 5),
+        ("servo_backlash", "servo_backlash", 5),
+    ],
 )
-def test_checksums_of_the_other_machines(shared_data: Path, datasets_folder: Path, name: str, folder: str) -> None:
+def test_checksums_of_the_other_machines(shared_data: Path, datasets_folder: Path, name: str, folder: str, count: int) -> None:
     listed = re.findall(
         r"`(\S+\.(?:mat|csv|json))` \|.*`([0-9a-f]{64})`", (datasets_folder / name / "README.md").read_text("utf-8")
     )
-    assert len(listed) == {"xl330": 16, "so101": 8, "hydraulic_actuator": 2}[name]
+    assert len(listed) == count
     for file, digest in listed:
         assert hashlib.sha256((shared_data / folder / file).read_bytes()).hexdigest() == digest
 
@@ -45,6 +52,29 @@ def test_servos(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> Non
     for recording in pendulum.recordings:
         assert len(recording) / 190.0 == pytest.approx(6.0, abs=0.1)
         assert np.nanmax(np.abs(recording.values("arm.joint"))) < np.nanmax(np.abs(recording.values("arm.command"))) + 0.25
+
+
+def test_double_pendulum(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:
+    dataset = ingest(shared_data / "double_pendulum", tmp_path, recipe=datasets_folder / "double_pendulum/recipe.toml")
+    roles = {"raise_and_drop": "fit", "sines_octave": "fit", "sines_same": "select", "compensated": "held_out"}
+    assert dict(dataset.splits) == roles
+    first = {r.name: r.values("elbow.joint")[0] for r in dataset.recordings}
+    assert first == pytest.approx(
+        {"sines_same": -0.007, "sines_octave": -0.046, "raise_and_drop": -0.076, "compensated": 0.142}, abs=1e-3
+    )
+    free = dataset.recording("raise_and_drop")
+    half = len(free) // 2 + 50
+    assert not free.values("shoulder.command")[half:].any(), "it swings by itself"
+    assert np.ptp(free.values("shoulder.joint")[half:]) > 2.0
+
+
+def test_servo_backlash(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:
+    for file in ("single", "comp2"):
+        log, recipe = shared_data / f"servo_backlash/{file}.csv", datasets_folder / "servo_backlash/recipe.toml"
+        values = np.concatenate([r.values("servo.joint") for r in ingest(log, tmp_path, recipe=recipe, name=file).recordings])
+        counts = values[~np.isnan(values)] / (2.0 * np.pi / 4096)
+        assert np.abs(counts).max() < 102.5
+        assert np.median(np.abs(counts - np.round(counts))) < 1e-6
 
 
 def test_a_benchmark_without_stamps(shared_data: Path, datasets_folder: Path, tmp_path: Path) -> None:

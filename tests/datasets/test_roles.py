@@ -81,6 +81,22 @@ def test_a_servo_that_is_pushed_does_not_move(tmp_path: Path) -> None:
     assert motion["pushed"].forward_s == 0.0
 
 
+def test_a_mass_that_swings_without_a_force_moves(tmp_path: Path) -> None:
+    text = (
+        'schema = 1\nname = "m"\nrate_hz = 50.0\n[[axes]]\nname = "arm"\nactuation = "force"\ndrives = "joint"\ninertia = 1.0\n'
+    )
+    (tmp_path / "machine.toml").write_text(text)
+    from sysid.machine import load_machine
+
+    at = np.arange(1000) / RATE
+    pushed = np.where(at < 1.0, np.sin(2.0 * np.pi * at), 0.0)
+    swing = Recording("a", pd.DataFrame({"time": at, "arm.command": pushed, "arm.joint": np.sin(at)}), RATE)
+    found = motion_table([swing], load_machine(tmp_path / "machine.toml"))
+    motion = by_axis(found.of(["a"]), found.axes)["arm"]
+    assert motion.forward_s > 8.0
+    assert motion.backward_s > 8.0
+
+
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=60), st.floats(0.01, 1.0))
 def test_reversals_are_those_of_the_quality_table(values: list[float], least: float) -> None:
     signal = np.cumsum(values)

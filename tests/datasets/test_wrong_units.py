@@ -200,6 +200,7 @@ def test_no_alarm_on_measured_data(shared_data: Path, datasets_folder: Path, tmp
         ("hyd_actuator", "hydraulic_actuator"),
         ("rc_excavator", "rc_excavator"),
         ("bam_xl330", "xl330"),
+        ("double_pendulum", "double_pendulum"),
         *((f"sage_so101/{run}", "so101") for run in ("friction_gravity", "multisine", "step_response", "single_joint_elbow")),
     ]
     for logs, name in sets:

@@ -20,8 +20,8 @@ from sysid.export.isaaclab import posterior_columns, reachable
 from sysid.export.torchscript.assembly import load_script, parameter_columns, save_script, script_of
 from sysid.export.torchscript.graph import Graph
 from sysid.export.torchscript.kernels import Kernels
-from sysid.machine import KnownEffect
-from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant
+from sysid.machine import KnownEffect, machine_from_files
+from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant, nominal_plant
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
 from sysid.testing.probe import RATE_HZ, probe_recording
 
@@ -114,6 +114,29 @@ def test_a_ramp_of_a_servo_before_its_dead_time_and_lag(lag: str) -> None:
     plant = probe_plant(*(KnownEffect(name, "wrist", each) for name, each in values.items()))
     module = script_of(plant, RATE_HZ)
     assert_same(plant, by_script(module, module.theta(1), commands_of(plant)), 0)
+
+
+def test_a_cylinder_without_a_linkage_is_its_own_joint() -> None:
+    """As in the drive model; the plant has no joint there."""
+    text = """schema = 1
+name = "valve"
+rate_hz = 50.0
+[[axes]]
+name = "boom"
+actuation = "velocity"
+drives = "cylinder"
+gain = 0.02
+stroke = [0.0, 0.1]
+"""
+    plant = nominal_plant(machine_from_files({"machine.toml": text}, "test"))
+    module = script_of(plant, 50.0)
+    theta, at = module.theta(1), torch.tensor([[0.05]], dtype=torch.float64)
+    with torch.jit.optimized_execution(False), torch.inference_mode():
+        state, _ = module.begin(theta, at, at, 0.0 * at)
+        for _ in range(50):
+            state, signals = module(theta, state, at / at)
+    assert float(signals["drive"]) == pytest.approx(0.07)
+    assert float(signals["structure"]) == float(signals["joints"]) == float(signals["drive"])
 
 
 @pytest.mark.parametrize("beside", STICKING, ids=len)

@@ -19,6 +19,7 @@ from sysid.config import STRICT, load_settings, parse_settings
 from sysid.errors import InputError, SettingsError, SysidError, nearest
 from sysid.machine import Kinematics, Linkage, TabulatedLinkage, TriangleLinkage, tabulate
 from sysid.machine.kinematics import rotation_about
+from sysid.machine.urdf_tree import urdf_tree
 from sysid.units import si_factor, split_header
 
 # -- kinematics -----------------------------------------------------------------------------------------------------
@@ -70,6 +71,19 @@ def test_broken_urdf(before: str, after: str, message: str) -> None:
     text = FILES_URDF.replace(before, after, 1)
     with pytest.raises(SettingsError, match=re.escape(message)):
         Kinematics.from_urdf(text, ("slew_joint", "boom_joint", "wrist_joint"), "tip")
+
+
+def test_the_ground_need_not_be_described() -> None:
+    text = FILES_URDF.replace(
+        "</robot>", '<joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint></robot>'
+    )
+    joints = ("slew_joint", "boom_joint", "wrist_joint")
+    at = np.array([[0.3, -0.2, 0.1]])
+    placed, free = (Kinematics.from_urdf(each, joints, "tip").link_poses(at)["hand"] for each in (text, FILES_URDF))
+    np.testing.assert_allclose(placed, free)
+    assert [link.get("name") for link in urdf_tree(text).findall("link")].count("world") == 1
+    with pytest.raises(SettingsError, match="parent link 'ground', which is not described"):
+        urdf_tree(text.replace('"world"', '"ground"'))
 
 
 def test_a_joint_that_no_axis_names() -> None:

@@ -107,7 +107,7 @@ def axes_of(
         kind: hydraulic, servo or force; None: as the data show.
     """
     pairs, left = _pairs(fields, answers, kind)
-    without = _against(pairs, answers)
+    without = _against(pairs, answers, kind)
     if without:
         kept = [replace(f, series=tuple(one for one in f.series if one.recording not in without)) for f in fields]
         pairs, left = _pairs([f for f in kept if f.series], answers, kind)
@@ -164,10 +164,13 @@ def _pairs(fields: Sequence[Field], answers: Answers, kind: str | None) -> tuple
     return pairs, left
 
 
-def _against(pairs: Mapping[str, _Pair], answers: Answers) -> dict[str, str]:
-    """Recordings in which a motion goes against its command, which it follows in most others: there it hardly acts."""
+def _against(pairs: Mapping[str, _Pair], answers: Answers, kind: str | None) -> dict[str, str]:
+    """Recordings in which a motion goes against its command, which it follows in most others: there it hardly acts.
+
+    A force is followed by neither place nor speed: above its resonance a pendulum moves against the torque that drives it.
+    """
     found = dict[str, str]()
-    for pair in pairs.values():
+    for pair in (pair for pair in pairs.values() if not (kind == "force" or (kind is None and "force" in pair.command.says))):
         quantity = max(pair.how, key=lambda key: pair.how[key])
         least, delays = LEAST_STRENGTH[quantity], round(MAX_DELAY_S * RATE_HZ)
         follows = dict[str, float]()

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.draft import Chosen, draft_recipe
-from sysid.datasets.drafting.axes import AxisDraft, axes_of, unit_factor
+from sysid.datasets.drafting.axes import KINDS, AxisDraft, axes_of, unit_factor
 from sysid.datasets.drafting.fields import Answers, Field, Question, read_fields
 from sysid.datasets.layouts import recording_names, refusal_of, unreadable
 from sysid.errors import InputError
@@ -34,6 +34,7 @@ class Description:
 
     Args:
         axes: names, in the order of the columns.
+        kind: hydraulic, servo or force, where the commands of all columns are of one; None otherwise.
         questions: what was not answered; the files have the proposals.
         left_out: columns and files that are not used, and why, as sentences.
     """
@@ -41,6 +42,7 @@ class Description:
     machine: str
     recipe: str
     axes: tuple[str, ...]
+    kind: str | None
     questions: tuple[Question, ...]
     left_out: tuple[str, ...]
 
@@ -79,9 +81,11 @@ def describe(
     axes, others, without = axes_of(fields, answers, kind)
     answers.check_used()
     left += [*others, *(f"{recording}: {why}" for recording, why in without.items())]
+    kinds = [each for each, actuation in KINDS.items() if {axis.actuation for axis in axes} == {actuation}]
     if robot is not None:
         axes, others = _of_robot(axes, robot[1])
         left += others
+    left += [f"{recording}: no number in {listed([name for _, name in keys], 4)}" for recording, keys in _empty(axes).items()]
     if not axes:
         seen = "; ".join(left[-4:]) or "no column changes"
         columns = listed([field.label for field in fields], 8)
@@ -92,7 +96,9 @@ def describe(
     recipe = draft_recipe(
         [*used, *unreadable(files)], None, "machine.toml", ".", in_folders, folder, _chosen(name, axes, names, without)
     )
-    return Description(machine, recipe, tuple(axis.name for axis in axes), tuple(answers.asked), tuple(left))
+    return Description(
+        machine, recipe, tuple(axis.name for axis in axes), next(iter(kinds), None), tuple(answers.asked), tuple(left)
+    )
 
 
 def _with_time_unit(file: FileSummary, answers: Answers) -> FileSummary:
@@ -106,20 +112,34 @@ def _with_time_unit(file: FileSummary, answers: Answers) -> FileSummary:
 
 
 def _chosen(name: str, axes: Sequence[AxisDraft], recordings: Mapping[Path, str], without: Mapping[str, str]) -> Chosen:
-    """The lines of all axes; files of recordings with other units have lines of their own, those ``without`` none."""
-    others = {recording for axis in axes for recording in axis.units}
+    """The lines of all axes; files of recordings in other units, or in which one of the columns is empty, have lines of their
+    own, those ``without`` none.
+    """
+    empty = _empty(axes)
+    others = {recording for axis in axes for recording in axis.units} | empty.keys()
     lines = {"": {key: line for axis in axes for key, line in _lines(axis)}}
     for other in others:
         in_its_units = (replace(axis, unit=axis.units.get(other, axis.unit)) for axis in axes)
-        lines[other] = {key: line for axis in in_its_units for key, line in _lines(axis)}
+        of_it = {key: line for axis in in_its_units for key, line in _lines(axis)}
+        lines[other] = {key: line for key, line in of_it.items() if key not in empty.get(other, ())}
     apart = {path: recording for path, recording in recordings.items() if recording in others}
     left = {path: without[recording] for path, recording in recordings.items() if recording in without}
     episodes = {recording: why for recording, why in without.items() if recording not in recordings.values()}
     return Chosen(name, lines, apart, left, episodes)
 
 
+def _empty(axes: Sequence[AxisDraft]) -> dict[str, list[tuple[str, str]]]:
+    """Recording → topic and name of the columns of axes that have no number in it."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for column in (column for axis in axes for column in (axis.command, axis.motion)):
+        for one in column.series:
+            if not np.isfinite(one.values).any():
+                found.setdefault(one.recording, []).append((column.topic, column.name))
+    return found
+
+
 def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDraft], list[str]]:
-    """The axes with the names of the robot's: by their words, else by their number in the order of the axes."""
+    """The axes with the names of the robot's: by their words, else by their number in the order of the axes; one is the one."""
     names, found, left = machine.axis_names, dict[str, AxisDraft](), list[str]()
     for axis in axes:
         words = axis.command.axis
@@ -127,7 +147,9 @@ def _of_robot(axes: Sequence[AxisDraft], machine: Machine) -> tuple[list[AxisDra
         number = next((int(part) for part in words.split("_") if part.isdecimal()), None)
         first = min((int(p) for a in axes for p in a.command.axis.split("_") if p.isdecimal()), default=1)
         place = number - first if number is not None else None
-        if not same and place is not None and 0 <= place < len(names):
+        if len(axes) == len(names) == 1:
+            same = [*names]
+        elif not same and place is not None and 0 <= place < len(names):
             same = [names[place]]
         if len(same) == 1 and same[0] not in found:
             found[same[0]] = replace(axis, name=same[0], drives=machine.axis(same[0]).drives)

@@ -138,7 +138,7 @@ class _Scale:
     """Thresholds of an axis.
 
     Args:
-        valve, led: whether its command is a speed, or a position; ``idle``: commands up to this size are none.
+        valve, led: whether its command is a speed, or a position; ``idle``: speeds up to this size are no command.
         top_speed: 99th percentile of the speed; ``least_speed``: below it nothing moves.
         least_travel: travel from which the axis moves in a recording; ``least_setpoint``: the same for the command of a servo,
             which is a position: what moves without it is pushed by other axes.
@@ -167,7 +167,7 @@ class _Scale:
         if travel < self.least_travel or travel == 0.0 or not commanded or not measured.any():
             return amounts
         speed, command = np.nan_to_num(samples.speed), np.nan_to_num(samples.command)
-        active = measured if self.led else measured & (np.abs(command) > self.idle)
+        active = measured & (np.abs(command) > self.idle) if self.valve else measured  # zero is a place, and a force
         sizes = command if self.valve else speed / self.top_speed
         smallest = max(self.idle, SMALL[0]) if self.valve else self.least_speed / self.top_speed
         starts = np.arange(0, len(command), CELL)

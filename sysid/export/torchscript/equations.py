@@ -272,7 +272,7 @@ def _ends(k: Kernels, u: Value, p: Memory, i: int, s: Memory, j: int, size: int,
 
 
 def _look_up(k: Kernels, x: Value, tables: Array, i: int, low: float, step: float) -> Value:
-    return k.graph("looked_up", x, i, low, step)
+    return k.graph("looked_up", x, i, low, step) if np.isfinite(tables[i, 0]) else x  # a cylinder without a linkage
 
 
 def _sincos(k: Kernels, x: Value) -> tuple[Value, Value]:

@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, UnknownDriveError
 from sysid.machine.description import RESERVED, Actuation, KnownEffect, ServoLaw
 from sysid.machine.kinematics import GRAVITY
 from sysid.names import listed
@@ -97,10 +97,6 @@ class ChainChoice:
         """The options of ``sysid init`` that choose it."""
         words = [("--base", self.base), ("--tip", self.tip), ("--kind", kind)]
         return " ".join(f"{key} {shlex.quote(value)}" for key, value in words if value is not None)
-
-
-class UnknownDriveError(SettingsError):
-    """The description does not state how a joint is commanded: ``--kind`` does."""
 
 
 def summarised(notes: Iterable[tuple[str, str]]) -> list[str]:
@@ -212,7 +208,7 @@ class _Attempt:
         assert error is not None
         if self.kinds:
             remedy = f"Add --kind {self.kinds[0]}. Kinds, each of all joints: {_kinds(self.kinds)}."
-            return SettingsError(error.where, error.found, error.expected, remedy)
+            return UnknownDriveError(error.where, error.found, error.expected, remedy)
         options = " ".join(filter(None, (options, "--kind servo" if self.unstated else "")))
         if not options or not error.remedy:
             return error

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import SettingsError
+from sysid.errors import SettingsError, UnknownDriveError
 from sysid.foreign import shown
 from sysid.machine.description import Actuation, KnownEffect
 from sysid.machine.kinematics import GRAVITY
@@ -23,7 +23,6 @@ from sysid.machine.sources.draft import (
     RESPONSE,
     AxisDraft,
     MachineDraft,
-    UnknownDriveError,
     axis_names,
     draft_of,
     limit_notes,

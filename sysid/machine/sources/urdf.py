@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from xml.etree.ElementTree import Element, tostring
 
-from sysid.errors import SettingsError, nearest
+from sysid.errors import SettingsError, UnknownDriveError, nearest
 from sysid.foreign import shown
 from sysid.machine.description import Actuation, KnownEffect
 from sysid.machine.kinematics import Joint, Kinematics, parse_urdf
@@ -19,7 +19,6 @@ from sysid.machine.sources.draft import (
     AxisDraft,
     ChainChoice,
     MachineDraft,
-    UnknownDriveError,
     axis_names,
     draft_of,
     limit_notes,
@@ -27,7 +26,18 @@ from sysid.machine.sources.draft import (
     summarised,
     without_stops,
 )
-from sysid.machine.urdf_tree import MOVING, followed, indefinite_links, invalid_shapes, repeated, resolved, urdf_tree, xml_root
+from sysid.machine.urdf_tree import (
+    GROUND,
+    MOVING,
+    followed,
+    indefinite_links,
+    invalid_shapes,
+    is_bare_ground,
+    repeated,
+    resolved,
+    urdf_tree,
+    xml_root,
+)
 from sysid.names import listed
 from sysid.numbers import NonNegative, number
 
@@ -64,7 +74,8 @@ def urdf_draft(
     written = xml_root(whole)
     unread = [(f"repeated <{element.tag}>, of which the first counts, in", _named(part)) for part, element in repeated(written)]
     unread += [("shapes without an extent of", link.get("name", "")) for link, _ in invalid_shapes(written)]
-    return replace(made, left_out=(*made.left_out, *summarised(unread)))
+    ground = (f"link {GROUND}, which the URDF does not describe: the ground",) if is_bare_ground(written) else ()
+    return replace(made, left_out=(*made.left_out, *summarised(unread)), assumed=(*made.assumed, *ground))
 
 
 def _named(part: Element) -> str:
