@@ -116,8 +116,9 @@ def _of_tables(moving: list[Recording], signal: str, most: float) -> Noise:
     if levels := [level for level in whites if level <= most]:
         return Noise(float(np.median(levels)), "above_bandwidth")
     open_ = most if math.isfinite(most) else 0.0
-    bounds = [bound or open_ for values, _ in parts if math.isfinite(bound := noise_bound(values))]
-    return Noise(min(float(np.median(bounds)), most) if bounds else 0.0, "unknown")
+    bounds = [(bound, _range(values)) for values, _ in parts if math.isfinite(bound := noise_bound(values))]
+    levels = [bound if bound > OF_NO_SCATTER * span else open_ for bound, span in bounds]
+    return Noise(min(float(np.median(levels)), most) if levels else 0.0, "unknown")
 
 
 def _of_poses(recordings: list[Recording], signal: str, span: float, resting: bool) -> Noise:
