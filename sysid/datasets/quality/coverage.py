@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from sysid.datasets.chunked import Array, known, stretches
 from sysid.datasets.quality.noise import table_noise
-from sysid.datasets.quality.use import SLOPE_S, SLOW, VISITED_S, Scale, level_of, speed_of
+from sysid.datasets.quality.use import SLOPE_S, SLOW, VISITED_S, Scale, level_of, speeds
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
+from sysid.scratch import pieces
 from sysid.signals import axis_signal
 
 #: Cells over the range of an axis.
@@ -131,10 +132,12 @@ def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[P
 
 
 def _counts(recording: Recording, first: Span, second: Span) -> npt.NDArray[np.int64]:
-    a, b = (span.cells(recording.values(span.signal)) for span in (first, second))
-    there = ~np.isnan(a) & ~np.isnan(b)
-    cells = (GRID * a[there] + b[there]).astype(np.int64)
-    return np.bincount(cells, minlength=GRID * GRID).reshape(GRID, GRID)
+    counts = np.zeros(GRID * GRID, dtype=np.int64)
+    for begin, end in pieces(len(recording)):
+        a, b = (span.cells(recording.values(span.signal)[begin:end]) for span in (first, second))
+        there = ~np.isnan(a) & ~np.isnan(b)
+        counts += np.bincount((GRID * a[there] + b[there]).astype(np.int64), minlength=GRID * GRID)
+    return counts.reshape(GRID, GRID)
 
 
 #: Least length of a phase [s].
@@ -171,9 +174,10 @@ def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scal
         noise = table_noise(values, recording.rate_hz)
         top = scales[span.axis].top_speed if span.axis in scales else 0.0
         limit = max(SLOW[0] * top, STILL * np.sqrt(2.0) * noise / SLOPE_S, 1e-12)
-        speed = np.abs(speed_of(values, recording.rate_hz))
-        still &= ~(speed > limit)
-        known |= ~np.isnan(speed)
+        for first, last in pieces(len(recording)):
+            speed = np.abs(speeds(values, recording.rate_hz, first, last))
+            still[first:last] &= ~(speed > limit)
+            known[first:last] |= ~np.isnan(speed)
     time = recording.values("time")
     found = []
     for first, last in zip(*stretches(still & known), strict=True):
