@@ -64,7 +64,7 @@ def differences(values: Values, order: int = 1) -> Values:
 
 def known(values: Array) -> Array:
     """A signal (n,) without its missing values; itself where none is missing."""
-    return chosen(values, ~np.isnan(values))
+    return chosen(values, ~np.isnan(values)) if missing(values) else values
 
 
 def finite(values: Array) -> Array:
@@ -81,6 +81,11 @@ def masked(count: int, piece: Callable[[int, int], Mask]) -> Mask:
 def counted(count: int, piece: Callable[[int, int], Mask]) -> int:
     """Number of True values of a mask that ``piece`` returns as for :func:`masked`."""
     return sum(int(np.count_nonzero(piece(first, last))) for first, last in pieces(count))
+
+
+def missing(values: Array) -> int:
+    """Number of missing values of a signal (n,)."""
+    return counted(len(values), lambda first, last: np.isnan(values[first:last]))
 
 
 def median(values: Values) -> float:
