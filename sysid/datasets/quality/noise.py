@@ -73,8 +73,9 @@ def _scatter(windows: Array, degree: int) -> float:
         some = windows[first : first + _WINDOWS]
         some = some[np.ptp(some, axis=1) > ROUNDING * np.maximum(np.abs(some).max(axis=1), SMALLEST)]
         centred = some - some.mean(axis=1, keepdims=True)
-        residual = centred - centred @ basis @ basis.T
-        sums.append(np.sum(residual**2, axis=1))
+        residual = centred @ basis @ basis.T
+        np.subtract(centred, residual, out=residual)
+        sums.append(np.sum(np.square(residual, out=residual), axis=1))
     found, freedom = np.concatenate(sums), width - degree - 1
     if not len(found):
         return 0.0
