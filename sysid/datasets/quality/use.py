@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import Array, Mask, Values, counted, finite, known, quantiles, remembered
+from sysid.datasets.chunked import Array, Values, counted, finite, known, quantiles, remembered
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
@@ -149,19 +149,9 @@ def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
     moved = recording.values(moved_signal(recording, axis))
     least = max(SLOW[0] * scale.top_speed, SPEED_NOISE * float(np.sqrt(2.0)) * table_noise(moved, recording.rate_hz) / SLOPE_S)
 
-    def lasting(of: Callable[[int, int], Values], side: float, above: float = 0.0, below: float = np.inf) -> float:
-        def inside(first: int, last: int) -> Mask:
-            sizes = side * of(first, last)
-            mask: Mask = (sizes > above) & (sizes < below)
-            return mask
-
-        return counted(len(command), inside) / recording.rate_hz
-
-    def levels(first: int, last: int) -> Values:
-        return level[first:last]
-
-    def given_at(first: int, last: int) -> Array:
-        return command[first:last]
+    def lasting(rows: Callable[[int, int], Values], side: float, above: float = 0.0, below: float = np.inf) -> float:
+        there = counted(len(command), lambda a, b: (side * rows(a, b) > above) & (side * rows(a, b) < below))
+        return there / recording.rate_hz
 
     def speed(first: int, last: int) -> Array:
         return speeds(moved, recording.rate_hz, first, last)
@@ -173,10 +163,10 @@ def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
         full=scale.full,
         seconds=tuple(map(float, seconds)),
         idle_s=idle / recording.rate_hz,
-        positive_s=lasting(levels, 1.0),
-        negative_s=lasting(levels, -1.0),
-        small_positive_s=lasting(given_at, 1.0, *small),
-        small_negative_s=lasting(given_at, -1.0, *small),
+        positive_s=lasting(lambda a, b: level[a:b], 1.0),
+        negative_s=lasting(lambda a, b: level[a:b], -1.0),
+        small_positive_s=lasting(lambda a, b: command[a:b], 1.0, *small),
+        small_negative_s=lasting(lambda a, b: command[a:b], -1.0, *small),
         command_changes=command_changes(command),
         reversals=reversals(moved, recording.rate_hz),
         slow_positive_s=lasting(speed, 1.0, *slow),
