@@ -17,6 +17,7 @@ from typing import Any
 from benchmarks.gap import gap_rows
 from benchmarks.history import fallen, read_history, write_history
 from benchmarks.logs import ingest_rows, memory_rows, reader_rows
+from benchmarks.long_log import long_log_rows
 from benchmarks.motion import motion_rows
 from benchmarks.networks import network_rows
 from benchmarks.plant import plant_rows
@@ -60,6 +61,7 @@ PARTS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "readers": reader_rows,
     "memory": memory_rows,
     "ingest": ingest_rows,
+    "long_log": long_log_rows,
     "cli": cli_rows,
     "registry": registry_rows,
     "plant": plant_rows,

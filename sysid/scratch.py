@@ -122,9 +122,11 @@ class Scratch:
 
     Args:
         folder: of the file, which is created on demand; the folder or one of its parents exists.
+        required: a full disk is an error; else arrays then stay in memory.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, required: bool = True) -> None:
+        self.required = required
         self.folder = next((place for place in (folder, *folder.absolute().parents) if place.is_dir()), folder)
         self._file: IO[bytes] | None = None
         self._end = 0
@@ -224,7 +226,7 @@ class Scratch:
         except OSError as error:
             if error.errno == errno.ENOMEM:
                 raise MemoryError from None
-            if error.errno in _UNABLE:
+            if error.errno in _UNABLE or not self.required:
                 return None
             found = f"no room for scratch files ({os.strerror(error.errno or errno.EIO)}); nothing was stored"
             expected = f"{size / 2**20:.0f} MiB more, about three times the numbers of the logs in all"
@@ -237,9 +239,13 @@ _current: ContextVar[Scratch | None] = ContextVar("scratch", default=None)
 
 
 @contextmanager
-def scratch_in(folder: Path) -> Iterator[Scratch]:
-    """Large arrays created within are stored in a scratch file in ``folder`` for their lifetime, also after the block."""
-    scratch = Scratch(folder)
+def scratch_in(folder: Path, required: bool = True) -> Iterator[Scratch]:
+    """Large arrays created within are stored in a scratch file in ``folder`` for their lifetime, also after the block.
+
+    Args:
+        required: see :class:`Scratch`.
+    """
+    scratch = Scratch(folder, required)
     with contextlib.closing(scratch), used(scratch):
         yield scratch
 

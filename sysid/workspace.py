@@ -17,7 +17,7 @@ from typing import Any
 import pandas as pd
 
 from sysid.datasets import Dataset, Store, VacuumResult, vacuum
-from sysid.datasets.clocks.residual import clock_residuals
+from sysid.datasets.clocks.residual import clock_residuals, with_residuals
 from sysid.errors import ExcitationError, SettingsError, StoreError
 from sysid.extras import versions_of
 from sysid.gap import GapResult
@@ -271,7 +271,7 @@ class Workspace:
         """
         result = result if result is not None else self.gap(dataset)
         versions = [self.network_version(dataset, kind) for kind in NETWORKS]
-        validations = []
+        validations, aligned = [], with_residuals(dataset.clocks)
         for version in versions:
             if version is None:
                 continue
@@ -286,7 +286,7 @@ class Workspace:
             versions=self._notes(dataset, [version for version in versions if version is not None], result),
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
             excitation=excitation_report(dataset, self._tested_plant(dataset, result)),
-            clocks=clock_residuals(self.datasets.channels(dataset.reference), dataset.clocks),
+            clocks=clock_residuals(self.datasets.channels(dataset.reference, aligned), dataset.clocks) if aligned else (),
             software={"sysid": __version__, **versions_of(SOFTWARE)},
         )
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any
 
-    from sysid.datasets import Dataset
+    from sysid.datasets import Dataset, Recording
     from sysid.datasets.checks.finding import Finding
     from sysid.datasets.checks.roles import Lack
     from sysid.datasets.quality.evidence import DatasetEvidence
@@ -32,7 +32,7 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
             dataset.splits.get(recording.name, NOTHING),
             length_text(recording.kind, len(recording), recording.rate_hz),
             len(recording.signals),
-            f"{100.0 * (1.0 - recording.table.drop(columns='time').isna().to_numpy().mean()):.1f} %",
+            f"{100.0 * _complete(recording):.1f} %",
         )
         for recording in dataset.recordings
     ]
@@ -44,6 +44,14 @@ def show_dataset(out: Printer, dataset: Dataset) -> None:
     for source in dataset.sources:
         for loss in source.losses:
             out.line(f"loss in {source.path}: {loss}")
+
+
+def _complete(recording: Recording) -> float:
+    """Share of the cells of a recording that have a value."""
+    from sysid.datasets.chunked import missing
+
+    there = sum(len(recording) - missing(recording.values(signal)) for signal in recording.signals)
+    return there / max(len(recording) * len(recording.signals), 1)
 
 
 def show_quality(location: str, reference: str | None, json_file: str | None) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.dataset_tables import show_dataset
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import Printer, json_option, long_arrays_beside, write_json
 from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
@@ -53,6 +53,8 @@ def datasets() -> None:
 @click.pass_obj
 def show(location: str, reference: str | None, quality: bool, json_file: str | None) -> None:
     """List dataset versions, or show one."""
+    if quality or reference is not None:
+        long_arrays_beside(location)
     if quality:
         from sysid.cli.dataset_tables import show_quality
 

@@ -231,3 +231,11 @@ def cluster_option(describes: str = "Address of a Dask scheduler, as tcp://HOST:
         help="Accept a scheduler without TLS on another computer: any computer of the network can then run programs here.",
     )
     return lambda command: address(trusted(command))
+
+
+def long_arrays_beside(location: str) -> None:
+    """Until the command ends, large arrays are in a scratch file beside the workspace, or in memory where it has no room."""
+    from sysid.datasets.versions.files import scratch_folder
+    from sysid.scratch import scratch_in
+
+    click.get_current_context().with_resource(scratch_in(scratch_folder(location), required=False))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from sysid.cli.output import Printer, command, json_option, rerun_command, write_json
+from sysid.cli.output import Printer, command, json_option, long_arrays_beside, rerun_command, write_json
 from sysid.cli.verbs import viewer
 
 
@@ -36,8 +36,10 @@ def view(
         return
     from sysid.errors import StoreError
     from sysid.view import write_rerun
+    from sysid.view.thinning import bucket, stride
     from sysid.workspace import open_workspace
 
+    long_arrays_beside(location)
     workspace = open_workspace(location)
     if recording is None:
         manifest = workspace.datasets.manifest(reference)
@@ -66,11 +68,16 @@ def view(
     write_rerun(path, dataset, recording, predictions, result)
     out = Printer(json_file)
     out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")
+    samples = len(dataset.recording(recording))
+    if bucket(samples) > 1:
+        out.line(
+            f"{samples} samples: shown are the lowest and the highest of every {bucket(samples)}, around the largest error "
+            f"all, and one pose in {stride(samples)}."
+        )
     out.line(f"View: {rerun_command(path)}")
-    write_json(
-        json_file,
-        {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "simulations": list(predictions)},
-    )
+    counts = {"samples": samples, "extremes_of": bucket(samples), "poses_every": stride(samples)}
+    made_of = {"dataset": dataset.reference, "recording": recording, "simulations": list(predictions)}
+    write_json(json_file, {"schema": 1, "file": path, **made_of, **counts})
 
 
 @click.command()
@@ -83,6 +90,7 @@ def report(location: str, reference: str | None, path: Path | None, json_file: s
     from sysid.front import files
     from sysid.workspace import open_workspace
 
+    long_arrays_beside(location)
     workspace = open_workspace(location)
     dataset = workspace.dataset(reference)
     path = files.report(dataset, path, workspace)

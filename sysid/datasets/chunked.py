@@ -5,18 +5,50 @@ Every result is bit-identical to that of the NumPy expression in the docstring.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import functools
+import weakref
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.scratch import chosen, computed, pieces
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
 Array = npt.NDArray[np.float64]
 Values = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
+
+
+#: Number of rows and (first, last + 1) → their values without NaN, as many as there are; of one signal or of several.
+Parts = Sequence[tuple[int, Callable[[int, int], Array]]]
+#: Values of a sample that brackets quantiles, and width of the bracket in standard deviations of its rank.
+_SAMPLE, _BRACKET = 2**16, 6.0
+#: Results of :func:`remembered` of each signal that exists, by its id.
+_results: dict[int, dict[Hashable, Any]] = {}
+
+
+def remembered(work: Callable[Concatenate[Array, P], T]) -> Callable[Concatenate[Array, P], T]:
+    """``work`` of a signal (n,), computed once for each read-only signal: those of a recording are asked for many times."""
+
+    @functools.wraps(work)
+    def once(values: Array, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        if values.flags.writeable:
+            return work(values, *args, **kwargs)
+        if id(values) not in _results:
+            _results[id(values)] = {}
+            weakref.finalize(values, _results.pop, id(values)).atexit = False
+        known, key = _results[id(values)], (work, args, *kwargs.items())
+        if key not in known:
+            known[key] = work(values, *args, **kwargs)
+        found: T = known[key]
+        return found
+
+    return once
 
 
 def copied(values: Values) -> Values:
@@ -32,7 +64,12 @@ def differences(values: Values, order: int = 1) -> Values:
 
 def known(values: Array) -> Array:
     """A signal (n,) without its missing values; itself where none is missing."""
-    return chosen(values, ~np.isnan(values))
+    return chosen(values, ~np.isnan(values)) if missing(values) else values
+
+
+def finite(values: Array) -> Array:
+    """``np.nan_to_num(values)`` of some values; themselves where all are finite."""
+    return values if np.isfinite(values).all() else np.nan_to_num(values)
 
 
 def masked(count: int, piece: Callable[[int, int], Mask]) -> Mask:
@@ -46,9 +83,101 @@ def counted(count: int, piece: Callable[[int, int], Mask]) -> int:
     return sum(int(np.count_nonzero(piece(first, last))) for first, last in pieces(count))
 
 
+def missing(values: Array) -> int:
+    """Number of missing values of a signal (n,)."""
+    return counted(len(values), lambda first, last: np.isnan(values[first:last]))
+
+
 def median(values: Values) -> float:
     """Median of (n,), which is reordered in place: pass a copy where the values are needed later."""
     return float(np.median(values, overwrite_input=True))
+
+
+def quantiles(parts: Parts, shares: Sequence[float]) -> list[float]:
+    """``np.quantile(values, shares)`` of all values of ``parts``, without an array of them; NaN without one."""
+    return [float(np.quantile(np.array([low, high]), place)) for low, high, place in _neighbours(parts, shares)]
+
+
+def median_of(parts: Parts, least: int = 1) -> float:
+    """``np.median(values)`` of all values of ``parts``, without an array of them; NaN with fewer than ``least``."""
+    ((low, high, place),) = _neighbours(parts, (0.5,), least)
+    return float(np.mean([low, high])) if place else low
+
+
+def _neighbours(parts: Parts, shares: Sequence[float], least: int = 1) -> list[tuple[float, float, float]]:
+    """The two values in order around each quantile, and its place between them."""
+    step = max(sum(count for count, _ in parts) // _SAMPLE, 1)
+    total, sample = 0, []
+    for some in _each(parts):
+        sample.append(some[total % step :: step].copy())
+        total += len(some)
+    if total < least:
+        return [(float("nan"), float("nan"), 0.0)] * len(shares)
+    ordered = np.sort(np.concatenate(sample))
+    places = [(total - 1) * share for share in shares]
+    pairs = [(int(place), min(int(place) + 1, total - 1)) for place in places]
+    if step == 1:
+        found = [(float(ordered[low]), float(ordered[high])) for low, high in pairs]
+    else:
+        found = _selected(parts, ordered, pairs, total)
+    return [(*ends, place - low) for ends, (low, _), place in zip(found, pairs, places, strict=True)]
+
+
+def _each(parts: Parts) -> Iterator[Array]:
+    for count, piece in parts:
+        for first, last in pieces(count):
+            yield piece(first, last)
+
+
+def _selected(parts: Parts, sample: Array, pairs: Sequence[tuple[int, int]], total: int) -> list[tuple[float, float]]:
+    """The values at the ranks of each pair of neighbours among all ``total`` values in order.
+
+    An ordered sample of them brackets each pair, and only the values in the bracket are ordered (Floyd and Rivest,
+    Communications of the ACM 18 (1975) 165).
+    """
+    brackets = []
+    for pair in pairs:
+        at, size = pair[0] / total, len(sample)
+        slack = 2.0 + _BRACKET * float(np.sqrt(at * (1.0 - at) * size))
+        first, last = int(np.floor(at * size - slack)), int(np.ceil(at * size + slack))
+        low = float(sample[first]) if first >= 0 else -np.inf
+        brackets.append(_Bracket(low, float(sample[last]) if last < size else np.inf))
+    for some in _each(parts):
+        for bracket in brackets:
+            bracket.take(some)
+    found = []
+    for bracket, pair in zip(brackets, pairs, strict=True):
+        ends = bracket.values(pair)
+        if ends is None:  # the sample misleads
+            ends = np.partition(np.concatenate(list(_each(parts))), pair)[list(pair)]
+        found.append((float(ends[0]), float(ends[1])))
+    return found
+
+
+class _Bracket:
+    """The values of a signal between two, and the numbers of those below and at the lower one."""
+
+    def __init__(self, low: float, high: float) -> None:
+        self.low, self.high, self.below, self.level = low, high, 0, 0
+        self.inside: list[Array] = []
+
+    def take(self, values: Array) -> None:
+        above = values[values >= self.low]
+        over = above[above > self.low]
+        self.below += len(values) - len(above)
+        self.level += len(above) - len(over)
+        self.inside.append(over[over < self.high])
+
+    def values(self, ranks: Sequence[int]) -> Array | None:
+        """The values at ``ranks`` of all in order; None where one is outside."""
+        between = np.concatenate(self.inside)
+        places = [rank - self.below for rank in ranks]
+        if min(places) < 0 or max(places) >= self.level + len(between):
+            return None
+        own = [place - self.level for place in places if place >= self.level]
+        if own:
+            between.partition(own)
+        return np.array([self.low if place < self.level else between[place - self.level] for place in places])
 
 
 def median_step(values: Values) -> float:

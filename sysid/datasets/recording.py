@@ -48,10 +48,11 @@ class Recording:
         """The signal as float64 (n,), read-only; all NaN where the recording does not have it."""
         found = self._arrays.get(signal)
         if found is None:
-            found = _missing(len(self.table))
             if signal in self.table.columns:
                 found = self.table[signal].to_numpy(dtype=np.float64).view()
                 found.setflags(write=False)
+            else:
+                found = _missing(len(self.table))
             self._arrays[signal] = found
         return found
 

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
 from sysid import display
+from sysid.datasets.chunked import missing
 from sysid.datasets.quality.evidence import DatasetEvidence
 from sysid.datasets.quality.sample_counts import SampleCounts, stored_counts, together
 from sysid.datasets.quality.use import AxisUse
@@ -109,7 +109,7 @@ def sample_lines(dataset: Dataset) -> list[SampleLine]:
 def _filled(dataset: Dataset, signal: str) -> float:
     own = [recording.values(signal) for recording in dataset.recordings if signal in recording.signals]
     rows = sum(map(len, own))
-    return sum(int(np.count_nonzero(~np.isnan(values))) for values in own) / rows if rows else float("nan")
+    return sum(len(values) - missing(values) for values in own) / rows if rows else float("nan")
 
 
 def sample_table(dataset: Dataset) -> Table:

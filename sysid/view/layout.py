@@ -19,6 +19,7 @@ from sysid.gap.result import Map
 from sysid.machine import Machine
 from sysid.pictures import ticks
 from sysid.signals import axis_signal, point_signals, split_signal
+from sysid.view.thinning import stride
 
 Array = npt.NDArray[np.float64]
 
@@ -248,9 +249,11 @@ def _active(tables: Mapping[str, pd.DataFrame], signals: list[str], owners: list
     if simulated is None or not owners:
         return 0
     measured = tables["measured"]
+    whole = len(simulated) == len(measured)
+    measured, simulated = (table.iloc[:: stride(len(table))] for table in (measured, simulated))
     errors = {
         name: float((simulated[name] - measured[name]).abs().mean() / max(measured[name].std(), 1e-9))
         for name in signals
-        if name in simulated and len(simulated) == len(measured)
+        if name in simulated and whole
     }
     return owners.index(split_signal(max(errors, key=lambda name: errors[name]))[0]) if errors else 0

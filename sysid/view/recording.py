@@ -17,6 +17,7 @@ from sysid.gap.disagreement import worst_row
 from sysid.gap.result import GapResult
 from sysid.reports.result_figures import effect_figures, error_table, unnamed_sentence
 from sysid.reports.words import effect_title
+from sysid.scratch import pieces
 from sysid.signals import point_signals
 from sysid.view.drawing import (
     OTHER_COLOURS,
@@ -31,7 +32,8 @@ from sysid.view.drawing import (
     send_piece,
     styles_of,
 )
-from sysid.view.layout import ENTITY, MOMENTS, blueprint, log_maps
+from sysid.view.layout import AFTER_S, BEFORE_S, ENTITY, MOMENTS, blueprint, log_maps
+from sysid.view.thinning import bucket, shown_rows, stride
 
 Array = npt.NDArray[np.float64]
 
@@ -68,10 +70,12 @@ def write_rerun(
             rr = sdk()
             rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
             for number, (name, table) in enumerate(tables.items()):
-                log_machine(stream, f"machine/{name}", dataset.machine, kinematics, table, styles[name])
-                log_points(stream, f"machine/{name}", dataset.machine, table, styles[name], number)
-        _log_signals(stream, dataset, source, tables, styles)
-        _log_errors(stream, dataset, tables, styles, moments)
+                poses = table.iloc[:: stride(len(table))]
+                log_machine(stream, f"machine/{name}", dataset.machine, kinematics, poses, styles[name])
+                log_points(stream, f"machine/{name}", dataset.machine, poses, styles[name], number)
+        curves = _Curves(stream, worst)
+        _log_signals(curves, dataset, source, tables, styles)
+        _log_errors(curves, dataset, tables, styles, moments)
         if gap is not None:
             log_findings(stream, findings_text(gap, dataset), moments, dataset.units)
         log_maps(stream, maps, {name: STYLES[name].colour for name in ("before", "after")})
@@ -98,7 +102,12 @@ def worst_moments(tables: Mapping[str, pd.DataFrame]) -> list[WorstMoment]:
         for signal in table.columns:
             if signal == "time" or signal.endswith(".command") or signal not in measured:
                 continue
-            worst = worst_row(table[signal], measured[signal])
+            simulated, reference = table[signal].to_numpy(), measured[signal].to_numpy()
+            worst: tuple[int, float] | None = None
+            for first, last in pieces(len(measured)):
+                own = worst_row(simulated[first:last], reference[first:last])
+                if own is not None and (worst is None or abs(own[1]) > abs(worst[1])):
+                    worst = first + own[0], own[1]
             if worst is not None:
                 found.append(WorstMoment(signal, version, float(measured["time"].iloc[worst[0]]), worst[1]))
     return found
@@ -108,7 +117,9 @@ def largest_moment(moments: Sequence[WorstMoment], tables: Mapping[str, pd.DataF
     """Time of the largest error of the first simulation [s]: of the tool, else of the tip, else of the motion of the signal."""
     own = [moment for moment in moments if moment.version == (moments[0].version if moments else "")]
     points = [[m for m in own if m.signal in point_signals(point)] for point in ("tool", "ee")]
-    motion = {m.signal: max(float(tables["measured"][m.signal].std()), 1e-9) for m in own}
+    motion = {
+        m.signal: max(float(tables["measured"][m.signal].iloc[:: stride(len(tables["measured"]))].std()), 1e-9) for m in own
+    }
     chosen = next((group for group in points if group), own)
     scale = dict.fromkeys(motion, 1.0) if chosen is not own else motion
     return max(chosen, key=lambda m: abs(m.error) / scale[m.signal]).time if chosen else None
@@ -139,26 +150,67 @@ def log_findings(stream: Any, text: str, moments: list[WorstMoment], units: Mapp
     rr.reset_time(recording=stream)
 
 
+@dataclass(frozen=True)
+class _Curves:
+    """Curves of a recording, of a long one thinned but for the seconds that are played at first.
+
+    Args:
+        moment: time of the largest error [s].
+    """
+
+    stream: Any
+    moment: float | None
+
+    def log(
+        self,
+        entity: str,
+        table: pd.DataFrame,
+        signal: str,
+        unit: str | None,
+        colour: tuple[int, int, int],
+        label: str,
+        width: float | None = None,
+        against: pd.DataFrame | None = None,
+    ) -> None:
+        """A signal of ``table``, less that of ``against``, in display units; the label says how much is shown, if not all."""
+        time, values, (factor, _) = table["time"].to_numpy(np.float64), table[signal].to_numpy(np.float64), shown_unit(unit)
+        other = against[signal].to_numpy(np.float64) if against is not None else None
+
+        def piece(first: int, last: int) -> Array:
+            return factor * (values[first:last] if other is None else values[first:last] - other[first:last])
+
+        played = (0, 0)
+        if self.moment is not None:
+            ends = np.searchsorted(time, (self.moment - BEFORE_S, self.moment + AFTER_S))
+            played = int(ends[0]), int(ends[1])
+        rows, shown = shown_rows(len(time), piece, played)
+        if len(rows):
+            label += f" ({len(rows)} of {len(time)} samples)" if bucket(len(time)) > 1 else ""
+            log_curve(self.stream, entity, time[rows], shown, colour, with_unit(label, unit), width)
+
+
 def _log_errors(
-    stream: Any, dataset: Dataset, tables: Mapping[str, pd.DataFrame], styles: Mapping[str, Style], moments: list[WorstMoment]
+    curves: _Curves,
+    dataset: Dataset,
+    tables: Mapping[str, pd.DataFrame],
+    styles: Mapping[str, Style],
+    moments: list[WorstMoment],
 ) -> None:
     """Error of every simulated signal over time, and a mark where it is largest."""
     rr = sdk()
-    measured = tables["measured"]
     for moment in moments:
-        factor, _ = shown_unit(dataset.units.get(moment.signal))
-        error = factor * (tables[moment.version][moment.signal] - measured[moment.signal]).to_numpy(dtype=np.float64)
-        known, time = np.isfinite(error), measured["time"].to_numpy(dtype=np.float64)
+        unit, simulated = dataset.units.get(moment.signal), tables[moment.version]
         colour, place = styles[moment.version].colour, f"errors/{moment.signal}/{moment.version}"
-        log_curve(stream, place, time[known], error[known], colour, with_unit(moment.version, dataset.units.get(moment.signal)))
+
+        curves.log(place, simulated, moment.signal, unit, colour, moment.version, against=tables["measured"])
         look = rr.SeriesPoints(colors=[colour], markers=["circle"], marker_sizes=[7.0], names=[f"largest {moment.version}"])
-        rr.log(f"{place}/largest", look, static=True, recording=stream)
-        largest = rr.Scalars.columns(scalars=np.array([factor * moment.error]))
-        send_piece(stream, f"{place}/largest", np.array([moment.time]), largest)
+        rr.log(f"{place}/largest", look, static=True, recording=curves.stream)
+        largest = rr.Scalars.columns(scalars=np.array([shown_unit(unit)[0] * moment.error]))
+        send_piece(curves.stream, f"{place}/largest", np.array([moment.time]), largest)
 
 
 def _log_signals(
-    stream: Any, dataset: Dataset, source: Recording, tables: Mapping[str, pd.DataFrame], styles: Mapping[str, Style]
+    curves: _Curves, dataset: Dataset, source: Recording, tables: Mapping[str, pd.DataFrame], styles: Mapping[str, Style]
 ) -> None:
     """Every signal as one curve per version, in display units; commands once."""
     commands = dict(
@@ -166,15 +218,11 @@ def _log_signals(
     )
     for signal in source.signals:
         unit = dataset.units.get(signal)
-        factor, _ = shown_unit(unit)
         for name, table in tables.items():
             if signal not in table.columns or (signal.endswith(".command") and name != "measured"):
                 continue
-            values = factor * table[signal].to_numpy(dtype=np.float64)
-            known = np.isfinite(values)
-            if not known.any():
-                continue
-            label = with_unit(signal.removesuffix(".command") if signal in commands else name, unit)
+
+            label = signal.removesuffix(".command") if signal in commands else name
             colour = commands.get(signal, styles[name].colour)
-            time, width = table["time"].to_numpy(dtype=np.float64)[known], 1.5 if name == "measured" else 2.2
-            log_curve(stream, f"signals/{signal}/{name}", time, values[known], colour, label, width)
+            width = 1.5 if name == "measured" else 2.2
+            curves.log(f"signals/{signal}/{name}", table, signal, unit, colour, label, width)

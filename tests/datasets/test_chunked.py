@@ -8,7 +8,8 @@ import pytest
 from scipy.signal import butter, cheby2, sosfiltfilt
 
 from sysid.datasets import chunked, resample
-from sysid.datasets.quality.use import turning_points
+from sysid.datasets.quality.responses import speed
+from sysid.datasets.quality.use import speed_of, turning_points
 from sysid.scratch import PIECE
 
 Array = npt.NDArray[np.float64]
@@ -43,10 +44,63 @@ def test_figures(signal: Array) -> None:
     assert chunked.counted(ROWS, lambda a, b: signal[a:b] > 0.5) == np.count_nonzero(signal > 0.5)
 
 
+CASES = {
+    "smooth": lambda rng, n: rng.standard_normal(n),
+    "with ties": lambda rng, n: np.round(rng.standard_normal(n), 1),
+    "mostly zero": lambda rng, n: np.where(rng.random(n) < 0.97, 0.0, rng.standard_normal(n)),
+    "one value": lambda rng, n: np.zeros(n),
+    "in order": lambda rng, n: np.arange(n, dtype=np.float64),
+    "with outliers": lambda rng, n: np.where(rng.random(n) < 0.001, -9999.0, 1.0 + 1e-9 * rng.standard_normal(n)),
+    "periodic as the sample": lambda rng, n: np.where(np.arange(n) % (n // chunked._SAMPLE) == 0, 1.0, rng.standard_normal(n)),
+    "few": lambda rng, n: rng.standard_normal(7),
+    "one": lambda rng, n: rng.standard_normal(1),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_quantiles(case: str) -> None:
+    values = CASES[case](np.random.default_rng(3), 400_000)
+    cut = len(values) // 3
+    parts = [(len(own), lambda a, b, own=own: own[a:b]) for own in (values[:cut], values[cut:])]
+    for shares in ((0.95,), (0.025, 0.975), (0.0, 1.0), (0.1, 0.5, 0.5001)):
+        np.testing.assert_array_equal(chunked.quantiles(parts, shares), np.quantile(values, shares))
+    assert chunked.median_of(parts) == np.median(values)
+    assert np.isnan(chunked.median_of(parts, least=len(values) + 1))
+    assert np.isnan(chunked.quantiles([(100, lambda a, b: np.empty(0))], (0.5,))).all()
+
+
+def test_a_figure_is_kept_as_long_as_its_read_only_signal() -> None:
+    calls: list[int] = []
+
+    @chunked.remembered
+    def total(values: Array, times: float) -> float:
+        calls.append(len(values))
+        return float(values.sum()) * times
+
+    own = np.ones(3)
+    assert (total(own, 2.0), total(own, 2.0), len(calls)) == (6.0, 6.0, 2)
+    fixed = own.view()
+    fixed.setflags(write=False)
+    assert (total(fixed, 2.0), total(fixed, 2.0), total(fixed, 3.0), len(calls)) == (6.0, 6.0, 9.0, 4)
+    known = len(chunked._results)
+    del fixed
+    assert len(chunked._results) == known - 1
+
+
 @pytest.mark.parametrize("mask", [[], [True], [False], [True, True, False, True], [False, True, True, False], [True] * 4])
 def test_stretches(mask: list[bool]) -> None:
     rows = {k for first, last in zip(*chunked.stretches(np.array(mask, bool)), strict=True) for k in range(first, last)}
     assert rows == {k for k, there in enumerate(mask) if there}
+
+
+def test_responses_by_pieces(signal: Array, monkeypatch: pytest.MonkeyPatch) -> None:
+    holes = with_holes(signal)[:9000]
+    whole, found = (holes, signal[:9000]), []
+    for piece in (9000, 1000, 37):
+        monkeypatch.setattr("sysid.scratch.PIECE", piece)
+        found.append([(speed(values, 100.0), speed_of(values, 100.0)) for values in whole])
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])
 
 
 def test_filters_run_both_ways(signal: Array) -> None:

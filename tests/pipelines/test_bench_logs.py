@@ -82,7 +82,9 @@ def test_the_page_shows_the_committed_result_and_parts_are_named(pipeline: Calla
     rows = json.loads(bench.RESULT.read_text("utf-8"))["rows"]
     assert {row["part"] for row in rows} == set(bench.PARTS)
     assert bench.tables(rows) in bench.PAGE.read_text("utf-8")
-    with pytest.raises(SystemExit, match="no part reader; expected some of: readers, memory, ingest, cli, registry, plant"):
+    with pytest.raises(
+        SystemExit, match="no part reader; expected some of: readers, memory, ingest, long_log, cli, registry, plant"
+    ):
         bench.main(["reader", "cli"])
 
 

@@ -318,21 +318,25 @@ def _stop(motion: Sequence[Recording], axis: Axis, side: int) -> EndStop | None:
         return None
     places, seconds, visits, would_move = list[Array](), 0.0, 0, 0.0
     for recording in moving:
-        y, u = side * recording.values(axis.driven), side * recording.values(axis_signal(axis.name, "command"))
-        rate = recording.rate_hz
+        y, u, rate = recording.values(axis.driven), recording.values(axis_signal(axis.name, "command")), recording.rate_hz
+
+        def pushed(first: int, last: int, y: Array = y, u: Array = u) -> Mask:
+            return (side * y[first:last] > furthest - 2.0 * tolerance) & (side * u[first:last] > PUSHED)
+
         left = True
         previous = 0
-        for first, last in zip(*stretches((y > furthest - 2.0 * tolerance) & (u > PUSHED)), strict=True):
-            left = left or bool(np.nanmin(y[previous:first], initial=np.inf) < furthest - AWAY * width)
-            previous = last
+        for first, last in zip(*stretches(masked(len(y), pushed)), strict=True):
+            since = y[previous:first]
+            back = np.nanmin(since, initial=np.inf) if side > 0 else -np.nanmax(since, initial=-np.inf)
+            left, previous = left or bool(back < furthest - AWAY * width), last
             settled = slice(first + round(VISIT_S * rate / 2), last)
             if last - first < VISIT_S * rate or np.ptp(y[settled]) > tolerance:
                 continue
             visits += left
             left = False
-            places.append(y[settled])
+            places.append(side * y[settled])
             seconds += (last - first) / rate
-            would_move += axis.gain * float(np.sum(u[settled])) / rate
+            would_move += axis.gain * float(np.sum(side * u[settled])) / rate
     if visits < VISITS or seconds < TOTAL_S or would_move < MOVED * tolerance:
         return None
     return EndStop(side * float(np.median(np.concatenate(places))), seconds, visits)

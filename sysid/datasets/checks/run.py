@@ -90,8 +90,10 @@ def check_plausibility(dataset: Dataset) -> tuple[Finding, ...]:
 
     The command line calls it at ingest, for ``--quality`` and before ``gap``; :func:`sysid.gap.find_gap` does not.
     """
-    context = CheckContext(dataset)
-    found = [finding for check in DATASET_CHECKS for finding in check.find(context)]
+    context, found = CheckContext(dataset), list[Finding]()
+    for check in DATASET_CHECKS:
+        found += check.find(context)
+        leave()
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))
 
 

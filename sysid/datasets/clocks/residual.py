@@ -65,18 +65,27 @@ class ClockResidual:
     pairs: tuple[PairResidual, ...]
 
 
+def with_residuals(clocks: Sequence[ClockRecord]) -> tuple[str, ...]:
+    """The recordings of the records that were estimated from motion."""
+    return tuple(dict.fromkeys(record.recording for record in clocks if _estimated(record)))
+
+
+def _estimated(record: ClockRecord) -> bool:
+    return record.applied and bool(np.isfinite(record.residual_rms))
+
+
 def clock_residuals(channels: pd.DataFrame, clocks: Sequence[ClockRecord]) -> tuple[ClockResidual, ...]:
     """The residual of every record that was estimated from motion.
 
     Args:
-        channels: raw channels as :meth:`sysid.datasets.Store.channels` gives them.
+        channels: raw channels as :meth:`sysid.datasets.Store.channels` gives them, of the recordings :func:`with_residuals`.
         clocks: of the same version.
     """
     found = []
-    for name in dict.fromkeys(record.recording for record in clocks):
+    for name in with_residuals(clocks):
         own = channels[channels["recording"] == name]
         for record in clocks:
-            if record.recording == name and record.applied and np.isfinite(record.residual_rms):
+            if record.recording == name and _estimated(record):
                 later = [r.stream_start_ns for r in clocks if (r.recording, r.stream) == (name, record.stream)]
                 end = min((ns for ns in later if ns > record.stream_start_ns), default=np.iinfo(np.int64).max)
                 residual = _residual(own, record, end)

@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from sysid.datasets.chunked import Array, known, stretches
 from sysid.datasets.quality.noise import table_noise
-from sysid.datasets.quality.use import SLOPE_S, SLOW, VISITED_S, Scale, level_of, speed_of
+from sysid.datasets.quality.use import SLOPE_S, SLOW, VISITED_S, Scale, level_of, speeds
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
+from sysid.scratch import leave, pieces
 from sysid.signals import axis_signal
 
 #: Cells over the range of an axis.
@@ -131,10 +132,12 @@ def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[P
 
 
 def _counts(recording: Recording, first: Span, second: Span) -> npt.NDArray[np.int64]:
-    a, b = (span.cells(recording.values(span.signal)) for span in (first, second))
-    there = ~np.isnan(a) & ~np.isnan(b)
-    cells = (GRID * a[there] + b[there]).astype(np.int64)
-    return np.bincount(cells, minlength=GRID * GRID).reshape(GRID, GRID)
+    counts = np.zeros(GRID * GRID, dtype=np.int64)
+    for begin, end in pieces(len(recording)):
+        a, b = (span.cells(recording.values(span.signal)[begin:end]) for span in (first, second))
+        there = ~np.isnan(a) & ~np.isnan(b)
+        counts += np.bincount((GRID * a[there] + b[there]).astype(np.int64), minlength=GRID * GRID)
+    return counts.reshape(GRID, GRID)
 
 
 #: Least length of a phase [s].
@@ -142,6 +145,8 @@ LEAST_S = 1.0
 #: An axis is still below this many standard deviations of the noise of its speed (exceeded by one in 10⁹ samples), or below the
 #: limit of slow motion.
 STILL = 6.0
+#: Phases after which pages are unmapped (:func:`sysid.scratch.leave`).
+RESTS = 256
 #: Postures differ where an axis differs by this share of its range.
 APART = 0.1
 
@@ -171,9 +176,11 @@ def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scal
         noise = table_noise(values, recording.rate_hz)
         top = scales[span.axis].top_speed if span.axis in scales else 0.0
         limit = max(SLOW[0] * top, STILL * np.sqrt(2.0) * noise / SLOPE_S, 1e-12)
-        speed = np.abs(speed_of(values, recording.rate_hz))
-        still &= ~(speed > limit)
-        known |= ~np.isnan(speed)
+        for first, last in pieces(len(recording)):
+            speed = np.abs(speeds(values, recording.rate_hz, first, last))
+            still[first:last] &= ~(speed > limit)
+            known[first:last] |= ~np.isnan(speed)
+    leave()
     time = recording.values("time")
     found = []
     for first, last in zip(*stretches(still & known), strict=True):
@@ -205,7 +212,7 @@ def _apart(one: Rest, other: Rest, spans: Sequence[Span]) -> bool:
 def noise_at_rest(recordings: Mapping[str, Recording], rests: Sequence[Rest], signal: str) -> float | None:
     """Median over still phases of the standard deviation of a signal about a straight line; None without such phases."""
     found = []
-    for rest in rests:
+    for number, rest in enumerate(rests):
         recording = recordings[rest.recording]
         first, last = np.searchsorted(recording.values("time"), (rest.from_s, rest.to_s))
         inside = known(recording.values(signal)[first : last + 1])
@@ -214,4 +221,6 @@ def noise_at_rest(recordings: Mapping[str, Recording], rests: Sequence[Rest], si
             left = inside - inside.mean()
             left -= np.multiply(rows, (rows @ left) / (rows @ rows), out=rows)
             found.append(float(np.sqrt((left @ left) / (len(left) - 2))))
+        if number % RESTS == RESTS - 1:
+            leave()
     return float(np.median(found)) if found else None

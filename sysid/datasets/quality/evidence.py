@@ -18,7 +18,7 @@ from sysid.datasets.quality.coverage import PairMap, Rest, Span, noise_at_rest, 
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.quality.use import SLOPE_S, AxisUse, Scale, pairs_together, scales_of, together, use_of
 from sysid.datasets.recording import Dataset, Recording
-from sysid.scratch import pieces
+from sysid.scratch import leave, pieces
 from sysid.signals import axis_signal, split_signal
 
 #: Two recordings have the same commands if these, shifted, differ by less than this share (RMS) over at least this share of the
@@ -279,6 +279,7 @@ def _recording(
     recording: Recording, dataset: Dataset, spans: tuple[Span, ...], scales: Mapping[str, Scale]
 ) -> RecordingEvidence:
     still = recording.kind == "poses"
+    leave()
     return RecordingEvidence(
         name=recording.name,
         role=dataset.splits.get(recording.name, ""),

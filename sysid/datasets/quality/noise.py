@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.special import gammaincinv
 
-from sysid.datasets.chunked import Array, absolute, copied, differences, known, median
-from sysid.scratch import chosen, computed
+from sysid.datasets.chunked import Array, copied, differences, known, median_of, remembered
+from sysid.scratch import chosen
 
 #: Samples of a sensor this far apart are independent [s], for any sensor above 17 Hz.
 LAG_S = 0.06
@@ -25,6 +25,7 @@ FINEST, BOUND = 8, 4
 _WINDOWS = 2**14
 
 
+@remembered
 def noise_of(values: Array, rate_hz: float) -> float:
     """Standard deviation of a sensor's noise [unit of the signal], from its own samples, moving or not.
 
@@ -72,8 +73,9 @@ def _scatter(windows: Array, degree: int) -> float:
         some = windows[first : first + _WINDOWS]
         some = some[np.ptp(some, axis=1) > ROUNDING * np.maximum(np.abs(some).max(axis=1), SMALLEST)]
         centred = some - some.mean(axis=1, keepdims=True)
-        residual = centred - centred @ basis @ basis.T
-        sums.append(np.sum(residual**2, axis=1))
+        residual = centred @ basis @ basis.T
+        np.subtract(centred, residual, out=residual)
+        sums.append(np.sum(np.square(residual, out=residual), axis=1))
     found, freedom = np.concatenate(sums), width - degree - 1
     if not len(found):
         return 0.0
@@ -95,10 +97,11 @@ def difference_scatter(values: Array, order: int) -> float:
     A normalised difference of order k passes white noise with a gain of one and a motion of frequency f with about
     sin(πf/rate)^k (Gasser, Sroka and Jennen-Steinmetz, Biometrika 73 (1986) 625: residual variance from differences).
     """
-    sizes = known(absolute(differences(values, order)))
-    if len(sizes) < 3:
-        return float("nan")
-    return 1.4826 * median(sizes) / math.sqrt(math.comb(2 * order, order))
+
+    def sizes(first: int, last: int) -> Array:
+        return known(np.abs(np.diff(values[first : last + order], order)))
+
+    return 1.4826 * median_of([(max(len(values) - order, 0), sizes)], least=3) / math.sqrt(math.comb(2 * order, order))
 
 
 def _windows(values: Array, rate_hz: float) -> Array:
@@ -110,6 +113,7 @@ def _windows(values: Array, rate_hz: float) -> Array:
     return chosen(windows.reshape(-1), np.repeat(whole, width)).reshape(-1, width)
 
 
+@remembered
 def table_noise(values: Array, rate_hz: float) -> float:
     """Noise of a signal in an aligned table [unit of the signal], also where its sensor is slower than the table.
 
@@ -125,19 +129,23 @@ def table_noise(values: Array, rate_hz: float) -> float:
         return np.abs(there[first + 2 * lag : last + 2 * lag] - 2.0 * there[first + lag : last + lag] + there[first:last])
 
     # The median of |x| of a normal variable is 0.6745 σ; a second difference has the variance of six samples.
-    scatter = median(computed(len(there) - 2 * lag, second)) / (0.6745 * math.sqrt(6.0))
+    scatter = median_of([(len(there) - 2 * lag, second)]) / (0.6745 * math.sqrt(6.0))
     fine = noise_of(there, rate_hz)
     return scatter if math.isnan(fine) else max(scatter, fine)
 
 
 def _step(values: Array) -> float:
     """The quantisation step; 0 where values do not repeat."""
-    ordered = copied(known(values))
-    ordered.sort()
-    new = np.ones(len(ordered), dtype=bool)
-    new[1:] = ordered[1:] != ordered[:-1]
-    levels = np.count_nonzero(new)
-    if levels < 2 or levels > len(ordered) / 4:
+    there = known(values)
+    for count in (math.ceil(0.3 * len(there)), len(there)):  # a part may show that there are too many levels
+        ordered = copied(there[:count])
+        ordered.sort()
+        new = np.ones(len(ordered), dtype=bool)
+        new[1:] = ordered[1:] != ordered[:-1]
+        levels = np.count_nonzero(new)
+        if levels > len(there) / 4:
+            return 0.0
+    if levels < 2:
         return 0.0
     gaps = differences(chosen(ordered, new))
     return float(chosen(gaps, gaps > 1e-6 * (ordered[-1] - ordered[0])).min())

@@ -19,6 +19,7 @@ from scipy.signal import correlate, savgol_filter
 from sysid.datasets.chunked import Array
 from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Axis, Machine
+from sysid.scratch import computed, empty, pieces
 from sysid.signals import axis_signal
 
 #: Interval of the samples, and longest delay of a response that is tried [s].
@@ -285,10 +286,16 @@ def speed(values: Array, rate_hz: float) -> Array:
     width = max(WINDOW, 2 * round(0.5 * WINDOW_S * rate_hz) + 1)
     if len(values) < width:
         return np.full(len(values), np.nan)
-    filled, known = _filled(values)
-    found = np.asarray(savgol_filter(filled, width, 2, deriv=1, delta=1.0 / rate_hz), dtype=np.float64)
-    near = np.convolve(1.0 - known, np.ones(width), "same") > 0.5
-    return np.where(near, np.nan, found)
+
+    def piece(first: int, last: int) -> Array:
+        begin, end = max(first - width, 0), min(last + width, len(values))
+        filled, known = _filled(values[begin:end])
+        found = np.asarray(savgol_filter(filled, width, 2, deriv=1, delta=1.0 / rate_hz), dtype=np.float64)
+        near = np.convolve(1.0 - known, np.ones(width), "same") > 0.5
+        return np.where(near, np.nan, found)[first - begin : last - begin]
+
+    result: Array = computed(len(values), piece)
+    return result
 
 
 Interval = tuple[float, float]
@@ -305,12 +312,13 @@ def _delay(recordings: Sequence[Recording], axis: Axis) -> tuple[float, Interval
     if not sums:
         return unknown
     stacked = np.array(sums)  # (blocks, lags, 6)
-    delay, correlation = _peak(stacked.sum(axis=0), rate)
+    total = stacked.sum(axis=0)
+    delay, correlation = _peak(total, rate)
     if not correlation >= LEAST_CORRELATION:
         return unknown
     half, parts = 0.5 / rate, UNKNOWN
     if len(stacked) >= BLOCKS:
-        without = np.array([_peak(stacked.sum(axis=0) - block, rate)[0] for block in stacked])
+        without = np.array([_peak(total - block, rate)[0] for block in stacked])
         count = len(without)
         least = 0.5 if axis.actuation == "velocity" else EXACT
         half = max(least / rate, Z * float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))))
@@ -332,16 +340,23 @@ def _correlation_sums(recording: Recording, axis: Axis, rate: float) -> list[Arr
     if axis.actuation != "velocity":
         command = speed(command, rate)
     lags, length, found = round(MAX_DELAY_S * rate) + 2, max(round(BLOCK_S * rate), 1), []
-    (u, has_u), (v, has_v) = _filled(np.concatenate([np.full(lags - 2, np.nan), command, [np.nan]])), _filled(moved)
-    for first in range(0, max(len(v) - length // 2, 1), length):
-        before, here = slice(first, first + length + lags - 1), slice(first, first + length)
+    for first in range(0, max(len(moved) - length // 2, 1), length):
+        last = min(first + length, len(moved))
+        (u, has_u), (v, has_v) = _filled(_rows(command, first + 2 - lags, last + 1)), _filled(moved[first:last])
         rows = [
-            correlate(one[before], other[here], "valid")[::-1]  # the last one is a sample ahead
-            for one, other in (
-                (has_u, has_v), (u, has_v), (has_u, v), (u * u, has_v), (has_u, v * v), (u, v)
-            )
-        ]  # fmt: skip
+            correlate(one, other, "valid")[::-1]  # the last one is a sample ahead
+            for one, other in ((has_u, has_v), (u, has_v), (has_u, v), (u * u, has_v), (has_u, v * v), (u, v))
+        ]
         found.append(np.column_stack(rows))
+    return found
+
+
+def _rows(values: Array, first: int, last: int) -> Array:
+    """Rows ``first`` to ``last`` - 1 of a signal (n,), NaN before its first and after its last."""
+    found = np.full(last - first, np.nan)
+    begin, end = max(first, 0), min(last, len(values))
+    if end > begin:
+        found[begin - first : end - first] = values[begin:end]
     return found
 
 
@@ -368,26 +383,29 @@ def _peak(sums: Array, rate: float) -> tuple[float, float]:
 
 def _directions(recordings: Sequence[Recording], axis: Axis, delay: float) -> tuple[Direction, Direction]:
     """Both directions of the command of a valve axis."""
-    commands, speeds, weights = [np.empty(0)], [np.empty(0)], [np.empty(0)]
-    place = np.concatenate([r.values(axis.driven) for r in recordings])
-    low, high = np.nanmin(place), np.nanmax(place)
-    most = max(float(np.nanmax(np.abs(r.values(axis_signal(axis.name, "command"))), initial=0.0)) for r in recordings)
-    for recording in recordings:
+    places, commands = ([r.values(axis_signal(axis.name, part)) for r in recordings] for part in (axis.drives, "command"))
+    low, high = (end.reduce([end.reduce(values, initial=np.nan) for values in places]) for end in (np.fmin, np.fmax))
+    most = max(max(float(np.fmax.reduce(c, initial=0.0)), -float(np.fmin.reduce(c, initial=0.0))) for c in commands)
+    u, v, own = (empty(sum(map(len, recordings))) for _ in range(3))
+    done = 0
+    for recording, values, command in zip(recordings, places, commands, strict=True):
         lag, before = max(0, round(delay * recording.rate_hz)), max(round(STEADY_S * recording.rate_hz), 1)
-        command, values = recording.values(axis_signal(axis.name, "command")), recording.values(axis.driven)
-        late = np.concatenate([np.full(lag, np.nan), command[: len(command) - lag]])
-        steady = np.zeros(len(late), dtype=bool)
-        steady[before:] = np.abs(late[before:] - late[:-before]) <= STEADY * most
-        inside = (values > low + ENDS * (high - low)) & (values < high - ENDS * (high - low))
+        weight = 1.0 / max(WINDOW, round(WINDOW_S * recording.rate_hz))
         moved = speed(values, recording.rate_hz)
-        counts = steady & inside & ~np.isnan(moved) & ~np.isnan(late)
-        commands.append(late[counts])
-        speeds.append(moved[counts])
-        weights.append(np.full(np.count_nonzero(counts), 1.0 / max(WINDOW, round(WINDOW_S * recording.rate_hz))))
-    u, v, own = np.concatenate(commands), np.concatenate(speeds), np.concatenate(weights)
+        for first, last in pieces(len(recording)):
+            late, place, rate = _rows(command, first - lag - before, last - lag), values[first:last], moved[first:last]
+            steady = np.abs(late[before:] - late[:-before]) <= STEADY * most
+            inside = (place > low + ENDS * (high - low)) & (place < high - ENDS * (high - low))
+            counts = steady & inside & ~np.isnan(rate) & ~np.isnan(late[before:])
+            rows = slice(done, done + int(np.count_nonzero(counts)))
+            u[rows], v[rows], own[rows] = late[before:][counts], rate[counts], weight
+            done = rows.stop
+    u, v, own = u[:done], v[:done], own[:done]
     resting = v[np.abs(u) < 0.5 / BINS * most]
     noise = 1.4826 * float(np.median(np.abs(resting - np.median(resting)))) if len(resting) >= LEAST else 0.0
-    return _direction(u, v, own, most, noise), _direction(-u, -v, own, most, noise)
+    forward, backward = u > 0.0, u < 0.0
+    positive = _direction(u[forward], v[forward], own[forward], most, noise)
+    return positive, _direction(-u[backward], -v[backward], own[backward], most, noise)
 
 
 def _direction(u: Array, v: Array, own: Array, most: float, noise: float) -> Direction:

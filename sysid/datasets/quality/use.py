@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import Array, absolute, copied, counted, known
+from sysid.datasets.chunked import Array, Values, counted, finite, known, quantiles, remembered
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
-from sysid.scratch import chosen, computed, empty, filled, pieces
+from sysid.scratch import computed, pieces
 from sysid.signals import axis_signal
 
 #: Values that are looked at together after a reversal, and at most.
 _FEW, _MOST = 64, 2**16
+#: Command of each row as −1, 0, +1, (n,).
+Levels = npt.NDArray[np.int8]
 
 
 def turning_points(values: Array, least: float) -> int:
@@ -124,14 +126,15 @@ def scales_of(recordings: Sequence[Recording], machine: Machine) -> dict[str, Sc
         if not largest:
             continue
         full = 1.0 if axis.actuation == "velocity" else max(largest) or 1.0
-        speeds: Array = empty(sum(map(len, recordings)))
-        done = 0
-        for recording in recordings:
-            own = known(absolute(speed_of(recording.values(moved_signal(recording, axis)), recording.rate_hz)))
-            speeds[done : done + len(own)] = own
-            done += len(own)
-        found[axis.name] = Scale(full, float(np.quantile(speeds[:done], 0.99, overwrite_input=True)) if done else 0.0)
+        sizes = [_sizes(r.values(moved_signal(r, axis)), r.rate_hz) for r in recordings]
+        (top,) = quantiles(sizes, (0.99,))
+        found[axis.name] = Scale(full, 0.0 if np.isnan(top) else top)
     return found
+
+
+def _sizes(values: Array, rate_hz: float) -> tuple[int, Callable[[int, int], Array]]:
+    """Sizes of the speeds of a signal (n,), for :func:`~sysid.datasets.chunked.quantiles`."""
+    return len(values), lambda first, last: known(np.abs(speeds(values, rate_hz, first, last)))
 
 
 def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
@@ -140,16 +143,18 @@ def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
     level = level_of(command)
     counts = np.zeros(CELLS, dtype=np.intp)
     for first, last in pieces(len(command)):
-        given = np.nan_to_num(command[first:last][level[first:last] != 0]) / scale.full
+        given = finite(command[first:last][level[first:last] != 0]) / scale.full
         counts += np.histogram(np.clip(given, -1.0, 1.0), bins=CELLS, range=(-1.0, 1.0))[0]
     seconds = counts / recording.rate_hz
     moved = recording.values(moved_signal(recording, axis))
-    speed = speed_of(moved, recording.rate_hz)
     least = max(SLOW[0] * scale.top_speed, SPEED_NOISE * float(np.sqrt(2.0)) * table_noise(moved, recording.rate_hz) / SLOPE_S)
 
-    def lasting(values: Array, side: float, above: float = 0.0, below: float = np.inf) -> float:
-        there = counted(len(values), lambda a, b: (side * values[a:b] > above) & (side * values[a:b] < below))
+    def lasting(rows: Callable[[int, int], Values], side: float, above: float = 0.0, below: float = np.inf) -> float:
+        there = counted(len(command), lambda a, b: (side * rows(a, b) > above) & (side * rows(a, b) < below))
         return there / recording.rate_hz
+
+    def speed(first: int, last: int) -> Array:
+        return speeds(moved, recording.rate_hz, first, last)
 
     small, slow = (SMALL[0] * scale.full, SMALL[1] * scale.full), (least, SLOW[1] * scale.top_speed)
     idle = counted(len(level), lambda a, b: (level[a:b] == 0.0) & ~np.isnan(command[a:b]))
@@ -158,10 +163,10 @@ def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
         full=scale.full,
         seconds=tuple(map(float, seconds)),
         idle_s=idle / recording.rate_hz,
-        positive_s=lasting(level, 1.0),
-        negative_s=lasting(level, -1.0),
-        small_positive_s=lasting(command, 1.0, *small),
-        small_negative_s=lasting(command, -1.0, *small),
+        positive_s=lasting(lambda a, b: level[a:b], 1.0),
+        negative_s=lasting(lambda a, b: level[a:b], -1.0),
+        small_positive_s=lasting(lambda a, b: command[a:b], 1.0, *small),
+        small_negative_s=lasting(lambda a, b: command[a:b], -1.0, *small),
         command_changes=command_changes(command),
         reversals=reversals(moved, recording.rate_hz),
         slow_positive_s=lasting(speed, 1.0, *slow),
@@ -196,30 +201,39 @@ def moved_signal(recording: Recording, axis: Axis, stride: int = 1) -> str:
     return joint if not np.isnan(recording.values(joint)[::stride]).all() else axis.driven
 
 
-def level_of(command: Array) -> Array:
+@remembered
+def level_of(command: Array) -> Levels:
     """The command as −1, 0, +1, with 0 below :data:`IDLE` of its 95th percentile (which is robust against outliers)."""
-    sizes = computed(len(command), lambda a, b: np.abs(np.nan_to_num(command[a:b])))
-    given = chosen(sizes, sizes != 0.0)
-    least = IDLE * np.percentile(given, 95, overwrite_input=True) if len(given) else np.inf
 
-    def level(first: int, last: int) -> Array:
-        u = np.nan_to_num(command[first:last])
-        return np.where(np.abs(u) > least, np.sign(u), 0.0)
+    def given(first: int, last: int) -> Array:
+        sizes: Array = np.abs(finite(command[first:last]))
+        return np.asarray(sizes[sizes != 0.0])
 
-    result: Array = computed(len(command), level)
+    (high,) = quantiles([(len(command), given)], (0.95,))
+    least = IDLE * high if not np.isnan(high) else np.inf
+
+    def level(first: int, last: int) -> Levels:
+        u = command[first:last]
+        return (u > least).view(np.int8) - (u < -least).view(np.int8)
+
+    result: Levels = computed(len(command), level, np.int8)
     return result
 
 
+@remembered
 def command_changes(command: Array) -> int:
     """Starts, stops and reversals, or the turning points of a command that is never zero."""
-    u = computed(len(command), lambda a, b: np.nan_to_num(command[a:b]))
-    if not len(u):
+    if not len(command):
         return 0
-    turns = turning_points(u, 0.2 * float(np.ptp(np.percentile(copied(u), (2.5, 97.5), overwrite_input=True))))
+    given = len(command), lambda first, last: finite(command[first:last])
+    low, high = quantiles([given], (0.025, 0.975))
+    whole = not counted(len(command), lambda first, last: ~np.isfinite(command[first:last]))
+    turns = turning_points(command if whole else computed(*given), 0.2 * (high - low))
     level = level_of(command)
-    return max(int(np.count_nonzero(level[1:] != level[:-1])), turns)
+    return max(counted(len(level) - 1, lambda first, last: level[first + 1 : last + 1] != level[first:last]), turns)
 
 
+@remembered
 def reversals(values: Array, rate_hz: float | None) -> int:
     """Changes of direction beyond :data:`TURN` of the travel and :data:`TURN_NOISE` of the noise.
 
@@ -235,8 +249,15 @@ def reversals(values: Array, rate_hz: float | None) -> int:
 
 def speed_of(values: Array, rate_hz: float) -> Array:
     """Slope over :data:`SLOPE_S` around each sample [unit/s], NaN at the ends and across gaps, (n,)."""
+    speed: Array = computed(len(values), lambda first, last: speeds(values, rate_hz, first, last))
+    return speed
+
+
+def speeds(values: Array, rate_hz: float, first: int, last: int) -> Array:
+    """Rows ``first`` to ``last`` - 1 of :func:`speed_of`."""
     half = max(round(0.5 * SLOPE_S * rate_hz), 1)
-    speed: Array = filled(len(values), np.nan)
-    for a, b in pieces(len(values) - 2 * half):
-        speed[half + a : half + b] = (values[2 * half + a : 2 * half + b] - values[a:b]) * rate_hz / (2 * half)
+    speed = np.full(last - first, np.nan)
+    a, b = max(first, half), min(last, len(values) - half)
+    if b > a:
+        speed[a - first : b - first] = (values[a + half : b + half] - values[a - half : b - half]) * rate_hz / (2 * half)
     return speed

@@ -33,7 +33,7 @@ def dataset_of(manifest: Manifest, samples: Mapping[int, Iterable[pa.RecordBatch
     """
     wanted: dict[int, dict[Any, _Columns]] = {number: {} for number in samples}
     for item in manifest["recordings"]:
-        wanted[item["part"]][item["key"]] = _Columns(["time", *item["signals"]])
+        wanted[item["part"]][item["key"]] = _Columns(["time", *item["signals"]], item["rows"])
     for number, batches in samples.items():
         for batch in batches:
             _take(batch, wanted[number])
@@ -55,11 +55,19 @@ def dataset_of(manifest: Manifest, samples: Mapping[int, Iterable[pa.RecordBatch
     )
 
 
-class _Columns:
-    """The columns of one recording while they are read: as long as what was found, whatever the manifest states."""
+#: Largest room for rows that the manifest states, as a multiple of those that were found.
+TRUSTED = 32
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self.found = 0  # number of rows until now
+
+class _Columns:
+    """The columns of one recording while they are read: as long as what was found, whatever the manifest states.
+
+    Args:
+        stated: number of rows in the manifest, for which there is room once a part of them was found.
+    """
+
+    def __init__(self, names: Sequence[str], stated: int) -> None:
+        self.found, self._stated = 0, stated  # number of rows until now, and in all
         self._unordered: list[npt.NDArray[np.int64]] | None = None  # numbers of all rows, once one was not the next
         self._values = {name: GrowingArray(np.nan) for name in names}
 
@@ -71,6 +79,7 @@ class _Columns:
             self._unordered.append(rows)
         self.found += len(rows)
         for name, values in self._values.items():
+            values.expected = min(self._stated, TRUSTED * self.found)
             values.extend(columns[name])
 
     def whole(self) -> dict[str, npt.NDArray[np.float64]] | None:

@@ -77,12 +77,16 @@ class Store(VersionIndex):
             expected = "tables with the columns that the manifest names"
             raise StoreError(where, f"not readable ({found})", expected, "Ingest the logs again.") from None
 
-    def channels(self, reference: str) -> pd.DataFrame:
-        """The raw channels, each on its own clock: recording, source, domain, signal, unit, primary, stamp_ns, value."""
+    def channels(self, reference: str, recordings: Collection[str] | None = None) -> pd.DataFrame:
+        """The raw channels, each on its own clock: recording, source, domain, signal, unit, primary, stamp_ns, value.
+
+        Args:
+            recordings: names of the only ones, before they were cut into blocks; by default all.
+        """
         import pyarrow as pa
 
         manifest = self.manifest(reference)
-        tables = [self._channels(manifest, part) for part in manifest["parts"]]
+        tables = [self._channels(manifest, part, recordings) for part in manifest["parts"]]
         frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas(ignore_metadata=True)
         return frame
 
@@ -359,12 +363,13 @@ class Store(VersionIndex):
     def _has_tables(self, manifest: Manifest) -> bool:
         return all(is_there(self.files, part, which) for part in manifest["parts"] for which in ("samples", "channels"))
 
-    def _channels(self, manifest: Manifest, part: Manifest) -> pa.Table:
+    def _channels(self, manifest: Manifest, part: Manifest, recordings: Collection[str] | None) -> pa.Table:
         """The raw channels of a part, without those of recordings that a later part supersedes."""
         import pyarrow as pa
         import pyarrow.compute as pc
 
-        table = self._table(manifest, part, "channels")
+        place = f"{manifest['name']}@{manifest['version']}: channels"
+        table = read_table(self.files, part, "channels", place, recordings=recordings)
         gone = part.get("superseded", ())
         return table.filter(pc.invert(pc.is_in(table["recording"], pa.array(gone, pa.string())))) if gone else table
 

@@ -232,8 +232,15 @@ def committed(files: Files, folder: str, written: Sequence[Mapping[str, Any]]) -
     return {"files": [dict(entry) for entry in written]}
 
 
-def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, columns: Sequence[str] | None = None) -> pa.Table:
-    """One table of a part, its files checked against their sha256.
+def read_table(
+    files: Files,
+    part: Mapping[str, Any],
+    which: str,
+    place: str,
+    columns: Sequence[str] | None = None,
+    recordings: Collection[str] | None = None,
+) -> pa.Table:
+    """One table of a part, its files checked against their sha256; only the rows of ``recordings`` where they are named.
 
     Raises:
         StoreError: a file is missing or was changed.
@@ -242,8 +249,9 @@ def read_table(files: Files, part: Mapping[str, Any], which: str, place: str, co
     import pyarrow.parquet as pq
 
     wanted = None if columns is None else list(columns)
+    rows = None if recordings is None else [("recording", "in", list(recordings))]
     with _undamaged(files, part, which, place):
-        tables = [pq.read_table(file, columns=wanted) for file in _opened(files, part, which)]
+        tables = [pq.read_table(file, columns=wanted, filters=rows) for file in _opened(files, part, which)]
     return pa.concat_tables(tables, promote_options="default")
 
 
