@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import known, missing, quantiles, remembered
 from sysid.datasets.quality import use
 from sysid.datasets.quality.noise import is_still, noise_of
 from sysid.datasets.recording import Recording
@@ -126,10 +127,10 @@ def _travel(recordings: Sequence[Recording], machine: Machine, axis: str) -> _Tr
     """Travel of the joint, else of the driven signal; None where neither is measured."""
     about = machine.axis(axis)
     for signal in dict.fromkeys((axis_signal(axis, "joint"), about.driven)):
-        known = [(r, values) for r in recordings if len(values := r.values(signal)[~np.isnan(r.values(signal))])]
+        known = [(r, r.values(signal)) for r in recordings if missing(r.values(signal)) < len(r)]
         if not known:
             continue
-        ends = [np.quantile(v, (OUTERMOST, 1.0 - OUTERMOST)) if r.kind == "motion" else (v.min(), v.max()) for r, v in known]
+        ends = [_ends(values, OUTERMOST if r.kind == "motion" else 0.0) for r, values in known]
         span = float(max(high for _, high in ends) - min(low for low, _ in ends))
         limits = about.range if signal == about.driven else about.limits
         reach = float(limits[1] - limits[0]) if limits is not None and np.isfinite(limits).all() else 0.0
@@ -141,6 +142,13 @@ def _travel(recordings: Sequence[Recording], machine: Machine, axis: str) -> _Tr
             noise = float(np.median(known_levels)) if known_levels else 0.0
         return _Travel(span, reach, noise)
     return None
+
+
+@remembered
+def _ends(values: Array, share: float) -> tuple[float, float]:
+    """The values below and above which a share of a signal (n,) lies."""
+    low, high = quantiles([(len(values), lambda first, last: known(values[first:last]))], (share, 1.0 - share))
+    return low, high
 
 
 def advice(item: Excitation, machine: Machine) -> str:
@@ -181,8 +189,7 @@ def _reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> 
     for recording in recordings:
         for signal in (axis_signal(axis, "joint"), machine.axis(axis).driven):
             values = recording.values(signal)
-            values = values[~np.isnan(values)]
-            if len(values):
+            if missing(values) < len(values):
                 total += use.reversals(values, recording.rate_hz if recording.kind == "motion" else None)
                 break
     return total
@@ -255,7 +262,7 @@ def _least(one: Count, other: Count) -> Count:
     return lambda recordings, machine, target: min(one(recordings, machine, target), other(recordings, machine, target))
 
 
-def _level(recording: Recording, axis: str) -> Array:
+def _level(recording: Recording, axis: str) -> npt.NDArray[np.int8]:
     """The command as −1, 0, +1."""
     return use.level_of(recording.values(axis_signal(axis, "command")))
 

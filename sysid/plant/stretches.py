@@ -38,6 +38,8 @@ def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:
     there = ~np.isnan(command)
     if not there.any():
         return np.zeros(len(command)), np.empty((0, 2), dtype=np.int64)
+    if there.all():
+        return command.copy(), np.array([[0, len(command)]], dtype=np.int64)
     index = np.where(there, np.arange(len(command)), -1)
     last = np.maximum.accumulate(index)
     age = np.arange(len(command)) - last
