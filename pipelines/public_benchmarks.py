@@ -3,8 +3,8 @@
     .venv/bin/python pipelines/public_benchmarks.py DATA [--publish]    (files in DATA/emps and DATA/cascaded_tanks)
 
 datasets/NAME/README.md says where the files come from. A model is fitted to the identification record alone and simulates the
-test record from its input; its start is estimated from the first samples, the rest is scored. `sysid gap` works on the two halves
-of the identification record. See reports/public_benchmarks/README.md.
+test record from its input; its start is estimated from the first samples, the rest is scored. `sysid gap` works on the two
+halves of the identification record. See reports/public_benchmarks/README.md.
 """
 
 from __future__ import annotations
