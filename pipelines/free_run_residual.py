@@ -7,7 +7,7 @@ integrates, and its inputs are those of the simulation. Here the weights z minim
 
 over one record, s the error without the network (Levenberg–Marquardt, differences for the derivatives). The noise level κ and
 the random first weights are those with the least error on blocks of the record that were left out of the sum: the input drives
-the free run through all blocks, so that none needs a start of its own. Where none lowers this error by 2 % there is no network.
+the free run through all blocks, so that none needs a start of its own. Where none lowers this error there is no network.
 """
 
 from __future__ import annotations
@@ -34,8 +34,6 @@ NOISE_LEVELS = (2.0, 4.0, 8.0)
 BLOCKS, SEEDS = 4, (0, 1, 2)
 #: Standard deviation of the first weights, of those of the output relative to them, and bias of the forget gate (remembers).
 FIRST, OUTPUT, REMEMBER = 0.3, 0.1, 1.0
-#: Largest ratio of the error on blocks left out to that without a network; `sysid gap --carry` asks it of held-out recordings.
-MAX_RATIO = 0.98
 STEP, ITERATIONS, ATTEMPTS, CONVERGED = 1e-4, 25, 8, 2e-3
 
 
@@ -92,7 +90,7 @@ class FreeRunResidual:
 
     @property
     def accepted(self) -> bool:
-        return self.left_out < MAX_RATIO * self.without
+        return self.left_out < self.without
 
 
 def fit_free_run(plant: Plant, shape: Shape, differences: Differences, progress: Progress = silent) -> FreeRunResidual:
