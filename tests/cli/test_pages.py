@@ -26,6 +26,7 @@ PAGES = {
     "docs/guide/mujoco.md": None,
     "docs/guide/export.md": None,
     "datasets/autolog/README.md": None,
+    "datasets/cascaded_tanks/README.md": "cascaded_tanks",
     "datasets/double_pendulum/README.md": "double_pendulum",
     "datasets/emps/README.md": "emps",
     "datasets/hydraulic_actuator/README.md": "hyd_actuator",
@@ -44,6 +45,8 @@ FAST = ("docs/guide/electric-arm.md", "docs/guide/export.md")
 def steps(name: str, folder: Path, request: pytest.FixtureRequest, slow: bool) -> Iterator[Step]:
     """Follow a page; its output blocks are compared on the way. Skips where its logs are absent."""
     logs = None if PAGES[name] is None else request.getfixturevalue("shared_data") / PAGES[name]
+    if logs is not None and not logs.is_dir():
+        pytest.skip(f"the measured data (../shared/data/{PAGES[name]}) are not here")
     prepare(ROOT / name, folder)
     for step in walk(ROOT / name, folder, logs, slow):
         if step.block.kind == "console":
