@@ -163,6 +163,7 @@ def training(folder: Path) -> dict[str, Any]:
 
 #: Page → what its blocks start from, and languages of the blocks that are run here.
 HERE: dict[str, tuple[Callable[[Path], dict[str, Any]], str]] = {
+    "docs/actuators.md": (nothing, "sh"),
     "docs/guide/commands.md": (nothing, "python"),
     "docs/guide/fleet.md": (fleet, "sh"),
     "docs/guide/models.md": (models, "sh"),
