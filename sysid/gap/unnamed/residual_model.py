@@ -25,7 +25,7 @@ from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.problem import Problem, problems_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import ResidualModelResult, Unnamed
-from sysid.gap.unnamed.residual_series import gain_p_value
+from sysid.gap.unnamed.residual_series import LEAST_BLOCKS, gain_p_value
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
 from sysid.plant.force import force_inputs
@@ -42,6 +42,8 @@ BOUND = 3.0
 MAX_SPEED_SHARE, MIN_SPEED = 0.9, 0.1
 #: Time over which errors of speed are averaged [s], so that sensor noise does not determine the bound.
 SPEED_WINDOW = 0.2
+#: Length of the blocks by which a network is tested [s].
+BLOCK_S = 0.5
 #: Largest ratio of the error with the network to that without it, on the selection and on the held-out recordings, and largest
 #: p-value of the gain on the selection recordings.
 MAX_SELECTION_RATIO, MAX_HELD_OUT_RATIO, MAX_P_VALUE = 0.9, 0.98, 0.05
@@ -103,6 +105,9 @@ def _fit_stage(
 
     if not bound > 0.0:
         return refused("there is no residual to train on")
+    seconds, least = sum(len(problem.rows(r)) / problem.rate(r) for r in split.select), (LEAST_BLOCKS + 1) * BLOCK_S
+    if seconds < least:
+        return refused(f"no residual network: {seconds:.1f} s of selection recordings, and {least:g} s are needed to test one")
     trained = train_recurrent(fit, select, bound, interval, problem.integrates, settings, case.seed, progress)
     inputs = [n for n, scale in zip(input_names(plain.machine, target), trained.weights["scale"], strict=True) if scale != 0.0]
     origin = {
@@ -201,11 +206,11 @@ def _bound(parts: Sequence[RecordingWindow], integrates: bool, interval: float) 
 
 
 def _p_value(before: Problem, theta: Array, after: Problem, other: Array, recordings: Sequence[Recording], seed: int) -> float:
-    """p-value of the gain on these recordings: squared errors over half seconds, of rates where the stage integrates."""
+    """p-value of the gain on these recordings: squared errors of blocks, of rates where the stage integrates."""
     gains = []
     for recording in recordings:
         measured = before.measured(recording)[:, 0]
-        width = max(1, round(0.5 * before.rate(recording)))
+        width = max(1, round(BLOCK_S * before.rate(recording)))
         squares = []
         for problem, values in ((before, theta), (after, other)):
             error = measured - problem.predict(values[None], recording)[0][:, 0]

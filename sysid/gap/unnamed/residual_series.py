@@ -218,12 +218,16 @@ def lag1_autocorrelation(series: Sequence[Array]) -> float:
     return float(np.clip(top / bottom, 0.0, 0.999)) if bottom > 0.0 else 0.0
 
 
+#: Least number of blocks of a bootstrap.
+LEAST_BLOCKS = 20
+
+
 def gain_p_value(gain: Array, seed: int, draws: int = 1000) -> float:
     """Share of stationary-bootstrap means of a gain in predictive density that are not positive.
 
     Blocks keep the autocorrelation of residuals, which a naive criterion ignores (Politis & Romano, JASA 89 (1994)).
     """
-    if len(gain) < 20 or not np.any(gain != 0.0):
+    if len(gain) < LEAST_BLOCKS or not np.any(gain != 0.0):
         return 1.0
     means = bootstrap_means(gain, seed, draws)
     return float((np.sum(means <= 0.0) + 1) / (draws + 1))

@@ -124,6 +124,16 @@ def test_console_and_report_show_residual_models(capsys: pytest.CaptureFixture[s
     assert "Described by" not in build_report(ReportInputs(crane, replace(gap, carried=(refused,))))
 
 
+def test_selection_recordings_that_are_too_short_for_a_test_are_said_to_be() -> None:
+    """A selection of 4 s was refused with a p-value of one, whatever the network predicted."""
+    whole = data(ripple)
+    short = [replace(r, table=r.table[: round(4.0 * r.rate_hz)]) if r.name == "run-3" else r for r in whole.recordings]
+    study = steps.open_study(replace(whole, recordings=tuple(short)), BASE)
+    (item,) = fit_residual_models(study.case, study.stages, ProofOutcome(BASE, unnamed=[unnamed()]), QUICK).carried
+    assert not item.accepted
+    assert item.text.startswith("command stage of boom: no residual network: 4.0 s of selection recordings, and 10.5 s are")
+
+
 def test_a_stage_that_cannot_hold_a_residual_model_says_so() -> None:
     study = steps.open_study(dataset_of(nominal(), 4.0), nominal())
     outcome = fit_residual_models(
