@@ -20,7 +20,7 @@ from sysid.export.export import PAGE, target_named
 from sysid.export.posterior import RANGES, SAMPLES
 
 CARDS = card_names()
-#: What the issue of users asks for, and what made each.
+#: The cards of this release.
 EXPECTED = {
     "ak80-6-drives",
     "dynamixel-xl330",
