@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
-from sysid.gap.disagreement import stage_rmse
+from sysid.gap.disagreement import run_rmse, stage_rmse
 from sysid.gap.drift import robust_scale
 from sysid.gap.likelihood.discrepancy.shapes import filled
 from sysid.gap.prepare.case import Case, Stage
@@ -25,7 +25,9 @@ from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.problem import Problem, problems_of
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.result import ResidualModelResult, Unnamed
+from sysid.gap.thresholds import TENTH
 from sysid.gap.unnamed.residual_series import LEAST_BLOCKS, gain_p_value
+from sysid.names import listed
 from sysid.networks.recurrent import RecordingWindow, RecurrentSettings, interval_means, train_recurrent
 from sysid.plant import Model, Plant, compile_plant, gravity_load
 from sysid.plant.force import force_inputs
@@ -133,6 +135,10 @@ def _fit_stage(
     after = _error(better, loaded, split.held_out)
     if not after < MAX_HELD_OUT_RATIO * before:
         return refused(f"a residual network did not help on held-out recordings ({signal} {before:.3g} → {after:.3g})", after)
+    # A force that fits better may move further off: the free run integrates its errors.
+    alone, beside = (run_rmse([(r, case.runner(plant)(r)) for r in split.held_out]) for plant in (plain, extended))
+    if worse := [f"{key} {alone[key]:.3g} → {beside[key]:.3g}" for key in alone if beside[key] > TENTH * alone[key]]:
+        return refused(f"a residual network makes the free run of held-out recordings worse ({listed(worse)})", after)
     text = f"{stage.label}: {WARNING}; held-out {signal} {before:.3g} → {after:.3g}"
     floor = float(problem_floor(better, loaded.theta, split.held_out, case.noise, case.seed)[0])
     return replace(without, after=after, noise_floor=floor, accepted=True, text=text, inputs=tuple(inputs)), extended
