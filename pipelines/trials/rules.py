@@ -33,7 +33,7 @@ CONDITIONS: Mapping[str, Changes] = {
         "stage_model.StageSearch.needed": lambda _, fit: 0.0 if fit.left <= thresholds.TENTH else math.inf
     },
     "the simplest model at the noise floor": {"comparison.simplest": lambda model, models: model},
-    "each name worth its price beside the others": {"comparison.pays_beside": _always},
+    "each name as large as what remains, beside the others": {"comparison.counts_beside": _always},
     "sizes of values that may be infinite": {"candidates.sizes_of": lambda _, values: (values, np.ones(len(values)))},
     "compensates for a similar effect": {"decision._repairs": _never},
     "at a bound": {"comparison.at_bound": _never},

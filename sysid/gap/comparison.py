@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate, sizes_of
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.thresholds import BLOCK_NATS, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, TENTH, Z, as_little, at_floor
+from sysid.gap.thresholds import BESIDE, BLOCK_NATS, LEAST, LIKELIEST, PRICE, STANDARD_ERRORS, TENTH, Z, as_little, at_floor
 from sysid.machine import EffectKey
 
 
@@ -95,14 +95,14 @@ def pays(before: float, after: float, effects: int = 1) -> bool:
     return at_floor(after) or divides(before, after, effects)
 
 
-def pays_beside(less: float, whole: float) -> bool:
-    """Whether one effect is worth its price beside the others of a set; what the set leaves without it, and whole."""
-    return not as_little(less, whole) and pays(less, whole)
+def counts_beside(less: float, whole: float) -> bool:
+    """Whether one effect moves the output by what remains, beside the others of a set; what it leaves without it, and whole."""
+    return not as_little(less, whole) and (at_floor(whole) or divides(less, whole, factor=BESIDE))
 
 
-def divides(before: float, after: float, effects: int = 1) -> bool:
-    """Whether the variance above the noise floor is divided by the price of so many effects, whatever remains."""
-    return before**2 - 1.0 >= PRICE**effects * (max(after, TENTH) ** 2 - 1.0)
+def divides(before: float, after: float, effects: int = 1, factor: float = PRICE) -> bool:
+    """Whether so many effects each divide the variance above the noise floor by their price, whatever remains."""
+    return before**2 - 1.0 >= factor**effects * (max(after, TENTH) ** 2 - 1.0)
 
 
 def left_where_acting(before: Array, after: Array, moved: Array, rows: Array, averaged_out: float = 0.0) -> float:

@@ -22,8 +22,9 @@ Given models of one stage (sets of effects) under shared variances:
    Where errors do not accumulate, a simpler model within a survivor that also reaches the noise floor replaces it.
 4. *Named*: in all acceptable sets, the 95 % interval of some parameter lies outside the region of practical equivalence
    around its known value, and no value lies at a bound of its range. Where formulas are wrong, the set has to be worth its
-   price, and where errors do not accumulate, each effect beside the others (the least that the plant can leave: values of least
-   squares, no error of timing). Where they accumulate, an effect confused with a larger one of its axis is not named.
+   price, and where errors do not accumulate, each effect moves the output by what remains, beside the others (the least that
+   the plant can leave: values of least squares, no error of timing). Where they accumulate, an effect confused with a larger
+   one of its axis is not named.
 5. *Ambiguous*: in some of them; the effects in its place in the others are its partners.
 6. Where formulas are wrong, the names have to be worth the price of an effect on recordings left out of the fit too
    (:func:`pays`); where errors accumulate, each name beside the others, on all recordings by cross-validation
@@ -44,8 +45,8 @@ import numpy.typing as npt
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import (
     at_bound,
+    counts_beside,
     pays,
-    pays_beside,
     replaced,
     simpler,
     simplest,
@@ -192,7 +193,7 @@ def decide(
     known = {f.labels: f for f in models}
     less = without or (lambda f, c: known[f.labels - {c.label}])
     for c in model.candidates if static else ():
-        if not lacking[c.key] and not pays_beside(free.left(less(model, c)), free.left(model)):
+        if not lacking[c.key] and not counts_beside(free.left(less(model, c)), free.left(model)):
             lacking[c.key] = Reason.LITTLE
     nothing, alone = next((f.left for f in models if not f.candidates), np.inf), model
     if static and fewest is not None and without is not None:
@@ -262,8 +263,8 @@ def _beyond_price(
 ) -> tuple[list[EffectKey], ModelFit]:
     """Certain effects that are not worth a name, and the set of the others alone.
 
-    One by one, the effect that leaves least without it, until each of the others is worth its price beside them, and they are
-    together: without the effects that are not certain, which may exchange with it (a dead time with a lag).
+    One by one, the effect that leaves least without it, until each of the others moves the output by what remains, and they are
+    worth their price together: without the effects that are not certain, which may exchange with it (a dead time with a lag).
     """
     lost, alone = list[EffectKey](), model
     for candidate in model.candidates:
@@ -273,7 +274,7 @@ def _beyond_price(
         first = min(alone.candidates, key=lambda c: free.left(without(alone, c)))
         less = without(alone, first)
         left = free.left(alone)
-        if pays_beside(free.left(less), left) and pays(nothing, left, len(alone.candidates)):
+        if counts_beside(free.left(less), left) and pays(nothing, left, len(alone.candidates)):
             break
         lost.append(first.key)
         alone = less

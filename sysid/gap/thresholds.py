@@ -14,6 +14,9 @@ SHARE = 0.01
 TENTH = 1.1
 #: Factor by which an effect has to reduce the variance: it moves the output by ``STANDARD_ERRORS`` times what remains.
 PRICE = 1.0 + STANDARD_ERRORS**2
+#: Factor by which one effect has to reduce the variance beside the others: it moves the output by what remains unexplained, of
+#: which a smaller one may be part.
+BESIDE = 2.0
 #: Number of likeliest survivors that a minimal one is compared with, the discrepancy of each estimated beside it alone.
 LIKELIEST = 3
 #: 97.5 % quantile of the normal distribution.

@@ -214,11 +214,11 @@ def test_what_is_further_off_than_without_any_effect_explains_nothing() -> None:
     assert decide([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL).named == ()
 
 
-@pytest.mark.parametrize(("least", "named"), [(2.1, (DELAY,)), (3.9, (DELAY,)), (4.1, (DELAY, LAG))])
-def test_each_name_is_worth_its_price_beside_the_others(least: float, named: tuple[Candidate, ...]) -> None:
+@pytest.mark.parametrize(("least", "named"), [(2.1, (DELAY,)), (2.6, (DELAY,)), (2.7, (DELAY, LAG))])
+def test_each_name_moves_the_output_by_what_remains_beside_the_others(least: float, named: tuple[Candidate, ...]) -> None:
     """The likeliest dead time alone is off by an error of timing, which the plant has not: it seems to leave 9 floors.
 
-    Both leave 2, a variance of 3 above the floor: without the lag it has to be 15.
+    Both leave 2, a variance of 3 above the floor: without the lag it has to be 6.
     """
 
     class Nearest(FreeRun):
@@ -512,7 +512,7 @@ def test_what_an_effect_generalises_is_simpler() -> None:
     assert simpler(model(special), model(general))
 
 
-def test_the_rule_has_five_numbers_and_the_page_lists_them() -> None:
+def test_the_rule_has_six_numbers_and_the_page_lists_them() -> None:
     page = (Path(__file__).parents[2] / "docs" / "decisions" / "decision-rule.md").read_text("utf-8")
     table = re.findall(r"^\| `(\w+)` \| ([\d.]+)\s*(%?)", page, re.MULTILINE)
     said = {name: float(value) / (100.0 if percent else 1.0) for name, value, percent in table}
@@ -522,6 +522,6 @@ def test_the_rule_has_five_numbers_and_the_page_lists_them() -> None:
         if name.isupper() and isinstance(value, float) and name not in ("Z", "PRICE")
     }
     assert said == numbers
-    assert len(numbers) == 5
+    assert len(numbers) == 6
     assert thresholds.PRICE == 1.0 + thresholds.STANDARD_ERRORS**2
     assert pytest.approx(1.959964, abs=1e-6) == thresholds.Z
