@@ -63,17 +63,25 @@ def test_without_masses_no_error_of_a_sensor_is_named(result: dict[str, Any]) ->
     assert not named & {"sensor_bias", "sensor_scale"}
 
 
-@pytest.mark.parametrize("joint", ["pitch", "elbow"])
-def test_what_sags_under_the_arm_is_a_tie_with_the_same_offset_in_each_recording(result: dict[str, Any], joint: str) -> None:
-    offsets = []
+@pytest.mark.parametrize(
+    ("joint", "ties_in"),
+    [("pitch", {"friction_gravity", "multisine", "step_response"}), ("elbow", {"friction_gravity", "step_response"})],
+)
+def test_what_sags_under_the_arm_has_the_same_offset_in_each_recording_and_is_a_tie_where_it_is_large(
+    result: dict[str, Any], joint: str, ties_in: set[str]
+) -> None:
+    """In the multisine recording the offset of the elbow moves it by less than what remains, and is adjusted without a name."""
+    offsets, found = [], set()
     for name in ("friction_gravity", "multisine", "step_response"):
         run = result["runs"][name]
         ties = [{(item["name"], item["target"]) for item in tie} for tie in run["ambiguous"]]
-        assert any({("sensor_bias", f"{joint}.joint"), ("joint_compliance", joint)} <= tie for tie in ties)
-        assert any(text.startswith("Gravity of") and joint in text for text in run["next_experiment"])
+        if any({("sensor_bias", f"{joint}.joint"), ("joint_compliance", joint)} <= tie for tie in ties):
+            found.add(name)
+            assert any(text.startswith("Gravity of") and joint in text for text in run["next_experiment"])
         written = {(e["name"], e["target"]): e["parameters"] for e in run["written"]}
         scale = written.get(("sensor_scale", f"{joint}.joint"), {"scale": 1.0})["scale"]
         offsets.append(written["sensor_bias", f"{joint}.joint"]["bias"] + (scale - 1.0) * MEAN_ANGLE[joint])
+    assert found == ties_in
     assert max(offsets) < 1.2 * min(offsets)
 
 
