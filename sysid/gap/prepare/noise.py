@@ -47,6 +47,8 @@ PLAUSIBLE_SPEED = 0.1
 #: Assumed noise as a share of the range: at static poses without repeats, and of a signal without scatter (a simulation, or an
 #: axis at rest).
 OF_POSES, OF_NO_SCATTER = 1e-3, 1e-6
+#: Scatter of values that are the same to the last digit, as a share of their size.
+LAST_DIGIT = 10.0 * float(np.finfo(np.float64).eps)
 #: Static poses are repeats if all other signals agree to this share of their range; least number of repeats for an estimate.
 SAME_POSE, REPEATS = 1e-3, 5
 #: Noisy copies of the recordings over which the propagation is averaged, and from which its spread is estimated.
@@ -116,8 +118,8 @@ def _of_tables(moving: list[Recording], signal: str, most: float) -> Noise:
     if levels := [level for level in whites if level <= most]:
         return Noise(float(np.median(levels)), "above_bandwidth")
     open_ = most if math.isfinite(most) else 0.0
-    bounds = [(bound, _range(values)) for values, _ in parts if math.isfinite(bound := noise_bound(values))]
-    levels = [bound if bound > OF_NO_SCATTER * span else open_ for bound, span in bounds]
+    bounds = [(bound, float(np.nanmax(np.abs(values)))) for values, _ in parts if math.isfinite(bound := noise_bound(values))]
+    levels = [bound if bound > LAST_DIGIT * size else open_ for bound, size in bounds]
     return Noise(min(float(np.median(levels)), most) if levels else 0.0, "unknown")
 
 
