@@ -95,7 +95,8 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(case, stage, refused, outcome)
         # What remains of the forces of an arm shows at its axes, each with its friction.
-        if stage.problem.stage != "links" and not at_floor(result.final_rmse if proven else result.nominal_rmse):
+        searched = result.stage_fit is not None and stage.problem.stage != "links"
+        if searched and not at_floor(result.final_rmse if proven else result.nominal_rmse):
             _describe(case, stage, proven, outcome)
     outcome.repaired, outcome.named = with_coupled_values(case, known, outcome.repaired, outcome.named)
     outcome.notes += _adjusted_notes(case, outcome)

@@ -33,6 +33,7 @@ from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.sensor_scales import SCALE
 from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
+from sysid.gap.statement import AGREES
 from sysid.gap.thresholds import as_little, at_floor
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
@@ -89,7 +90,9 @@ def find_stage(
     problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     seen = Data(problem, stage.split.seen, stage.sigma)
     nominal = spread_of(seen.residuals(stage.theta[None]))
-    if at_floor(nominal) and problem.stage != LINKS:  # thousands of rows determine masses from errors below the noise
+    # What agrees by the verdict cannot pay the price of an effect. Errors of poses are independent, and masses have many rows.
+    agrees = at_floor(nominal) if is_pose_set(case.dataset) else nominal <= AGREES
+    if agrees and problem.stage != LINKS:
         progress(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
     fits = FitCount(progress, stage.label)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -12,11 +14,12 @@ from sysid.gap import stage_search
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.decision import Decision
-from sysid.gap.fit import place
+from sysid.gap.fit import place, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import problems_of
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_search import _adjusted_to_free_run
+from sysid.gap.statement import AGREES
 from sysid.gap.steps import open_study
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant
@@ -90,3 +93,24 @@ def test_a_stated_order_leaves_no_error_of_timing_between_command_and_motion(
     with pytest.raises(StopIteration):
         stage_search.find_stage(study.case, stage, "all", lambda share, text: None)
     assert seen == [0.0 if stated else pytest.approx(0.5 / machine.rate_hz)]
+
+
+@pytest.mark.parametrize("floors", [1.2, 1.45, 1.6, 4.0])
+def test_only_a_stage_that_does_not_agree_is_searched(floors: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = machine_from_files(arm().files(), "arm")
+    truth = nominal(KnownEffect("first_order_lag", "wrist", {"time_constant": TRUE_LAG}), machine=machine)
+    study = open_study(dataset_of(truth, 8.0), nominal(machine=machine))
+    (stage,) = (s for s in study.stages if s.label == "command stage of wrist")
+    error = spread_of(Data(stage.problem, stage.split.seen, stage.sigma).residuals(stage.theta[None]))
+    stage = replace(stage, sigma=stage.sigma * error / floors)
+    searched: list[float] = []
+
+    def search(*_: Any) -> Any:
+        searched.append(floors)
+        raise StopIteration
+
+    monkeypatch.setattr(stage_search, "search_stage", search)
+    with contextlib.suppress(StopIteration):
+        found = stage_search.find_stage(study.case, stage, "all", lambda share, text: None)
+        assert (found.named, found.nominal_rmse) == ((), pytest.approx(floors))
+    assert bool(searched) == (floors > AGREES)
