@@ -304,7 +304,8 @@ def block_sandwich(data: Data, theta: Array, fit: Fit, seconds: float = 4.0) -> 
     """Interval ends (k, 2) by the textbook's block sandwich, for comparison."""
     blocks, bread = [], np.zeros((len(fit.unknowns), len(fit.unknowns)))
     for recording in data.recordings:
-        r, slopes = jacobian(replace(data, recordings=[recording]), theta, fit.unknowns, fit.values, fit.drifts)
+        own = replace(data, recordings=[recording])
+        r, slopes = own.errors(fit.theta[None])[0], jacobian(own.errors, theta, fit.unknowns, fit.values)
         bread += slopes.T @ slopes
         blocks.append(np.add.reduceat(slopes * r[:, None], np.arange(0, len(r), round(seconds / BIN)), axis=0))
     score, inverse = np.concatenate(blocks), np.linalg.pinv(bread, rcond=1e-12)

@@ -111,7 +111,6 @@ def _known_key(data: Any, theta: Any, fitted: Any, noise: Any, seed: int) -> Any
     return (
         data.problem.stage,
         data.problem.target,
-        data.drifting,
         _bytes(theta),
         _bytes(fitted.theta),
         _labels(fitted.candidates),
@@ -127,7 +126,7 @@ def _residual_key(problem: Any, theta: Any, recordings: Any, machine: Any) -> An
 
 
 def _fit_key(data: Any, theta: Any, candidates: Any, starts: Any, *rest: Any) -> Any:
-    here = data.problem.stage, data.problem.target, data.drifting, _names(data.recordings)
+    here = data.problem.stage, data.problem.target, _names(data.recordings)
     return here, _bytes(theta), _labels(candidates), _bytes(np.array(starts)), rest
 
 

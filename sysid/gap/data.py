@@ -1,44 +1,27 @@
-"""Recordings for a fit: residuals in units of noise, binned, whitened by the drift of a model."""
+"""Recordings for a fit: residuals of free runs in units of noise, as they are or as means over bins."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.drift import DriftStrength, bins_of, estimate_drift, to_bins, whiten_lanes
+from sysid.gap.drift import bins_of
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
-#: Share of the drift that is left after 0.1 s at a stage that does not integrate: its memory is about a second.
-MEMORY = 0.9
-
 
 @dataclass
 class Data:
-    """Recordings of a problem with what does not change between fits: noise and activity.
-
-    Args:
-        drifting: whether errors may be a drift of the machine; else a fit is least squares over the free run.
-    """
+    """Recordings of a problem, with the standard deviation ``sigma`` (d,) of the noise of each of its signals."""
 
     problem: Problem
     recordings: Sequence[Recording]
     sigma: Array
-    drifting: bool = True
-    activities: list[Array] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.activities = [activity_of(self.problem, r) for r in self.recordings]
-
-    @property
-    def models_drift(self) -> bool:
-        """Whether residuals are prediction errors of a drift model: at a stage that integrates, if errors may be a drift."""
-        return self.problem.integrates and self.drifting
 
     def bins(self, thetas: Array, problem: Problem | None = None) -> list[Array]:
         """Binned residuals in units of noise, one (lanes, m, d) a recording."""
@@ -50,48 +33,29 @@ class Data:
         at = problem or self.problem
         return [(at.measured(r)[None] - at.predict(thetas, r)) / self.sigma for r in self.recordings]
 
-    def whitened(self, thetas: Array, drifts: Sequence[DriftStrength], problem: Problem | None = None) -> Array:
+    def errors(self, thetas: Array, problem: Problem | None = None) -> Array:
         """(lanes, all bins of all signals), missing ones as zero, so that the length never changes."""
-        lanes = []
-        for part, activity in zip(self.bins(thetas, problem), self.activities, strict=True):
-            for k, drift in enumerate(drifts):
-                series = part[:, :, k]
-                if drift.present:
-                    series = whiten_lanes(series, activity, drift)
-                lanes.append(series / drift.noise)
-        return np.nan_to_num(np.concatenate(lanes, axis=1))
+        return joined(self.levelled(self.bins(thetas, problem)))
 
-    def drifts(self, theta: Array) -> tuple[tuple[DriftStrength, ...], float]:
-        """Drift of every signal under one parameter vector, and the log-likelihood."""
-        bins = self.bins(theta[None])
-        memory = 1.0 if self.problem.integrates else MEMORY
-        found, total = [], 0.0
+    def levelled(self, bins: Sequence[Array]) -> list[Array]:
+        """Bins of a stage that integrates less their mean in each recording: a run starts at one sample, with its noise."""
+        if not self.problem.integrates:
+            return list(bins)
+        there = [(~np.isnan(part)).sum(axis=1, keepdims=True) for part in bins]
+        return [part - np.nansum(part, axis=1, keepdims=True) / np.maximum(n, 1) for part, n in zip(bins, there, strict=True)]
+
+    def log_likelihood(self, theta: Array) -> float:
+        """Of independent errors of the bins, each signal with its standard deviation under ``theta`` (N,) [nats]."""
+        bins, total = self.levelled(self.bins(theta[None])), 0.0
         for k in range(len(self.sigma)):
-            if not self.drifting:
-                joined = np.concatenate([part[0, :, k] for part in bins])
-                there = joined[~np.isnan(joined)]
-                noise = max(float(np.sqrt(np.mean(there**2))), 1e-12) if len(there) else 1.0
-                found.append(DriftStrength(noise=noise, memory=memory))
-                total -= len(there) * (np.log(noise) + 0.5)
-                continue
-            drift, log_likelihood = estimate_drift([part[0, :, k] for part in bins], self.activities, memory)
-            found.append(drift)
-            total += log_likelihood
-        return tuple(found), total
+            series = np.concatenate([part[0, :, k] for part in bins])
+            there = series[~np.isnan(series)]
+            noise = max(float(np.sqrt(np.mean(there**2))), 1e-12) if len(there) else 1.0
+            total -= len(there) * (np.log(noise) + 0.5)
+        return total
 
 
-def activity_of(problem: Problem, recording: Recording) -> Array:
-    """Activity of the stage in each bin, mean 1, (m,); constant where it does not move.
-
-    Flow disturbances grow with the flow: a drive drifts in motion and hardly at rest.
-    """
-    measured = to_bins(problem.measured(recording), problem.rate(recording))
-    if not problem.integrates or len(measured) < 3:
-        return np.ones(len(measured))
-    rows = np.arange(len(measured))
-    there = ~np.isnan(measured[:, 0])
-    if there.sum() < 3:
-        return np.ones(len(measured))
-    moved = np.abs(np.gradient(np.interp(rows, rows[there], measured[there, 0])))
-    mean = float(moved.mean())
-    return moved / mean if mean > 0 else np.ones(len(measured))
+def joined(bins: Sequence[Array]) -> Array:
+    """Bins of recordings, (lanes, m, d) each, signal after signal in one table (lanes, n); missing ones are zero."""
+    table: Array = np.concatenate([part[:, :, k] for part in bins for k in range(part.shape[2])], axis=1)
+    return np.nan_to_num(table)

@@ -1,10 +1,10 @@
-"""Residual of the true model: white sensor noise plus a drift that grows while the machine moves.
+"""A level that drifts while the machine moves, beside white noise: of a measured input, and of planned recordings.
 
 A free run integrates every disturbance, so that even the residual of the true model drifts like a random walk. The local level
 model (Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989, §2.2) estimates this drift:
 ``r_k = level_k + s·ε_k``, ``level_{k+1} = level_k + s·√(calm + moving·activity_k)·η_k``. Its one-step prediction errors are
-white; fits and comparisons use them. Without drift they are the residual itself, with strong drift its increments. A parameter
-that only follows the drift gains nothing.
+white: without drift the residual itself, with strong drift its increments. A parameter that only follows the drift gains
+nothing.
 
 Only a stage that integrates its input drifts without bound. Elsewhere the level decays (``memory`` < 1 per bin), so that a
 constant offset is no drift.

@@ -1,14 +1,9 @@
-"""Least squares over whole free runs: every perturbation is a lane, the loss is robust to outliers, several starts.
-
-Residuals are binned and whitened by the drift model of their own fit, so that drift of the machine that no effect explains
-neither biases parameters nor counts as evidence.
-"""
+"""Least squares over whole free runs: every perturbation is a lane, several starts; residuals are means over bins."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +12,6 @@ from scipy.stats import qmc
 
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.data import Data
-from sysid.gap.drift import DriftStrength
 from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
@@ -41,16 +35,14 @@ class Fit:
     Args:
         theta: the whole parameter vector with these values.
         values: (k,) in the order of ``unknowns``.
-        drifts: one for each signal of the problem.
-        log_likelihood: of the whitened residuals of the fitted recordings.
+        log_likelihood: of the residuals of the fitted recordings (:meth:`Data.log_likelihood`).
     """
 
     candidates: tuple[Candidate, ...]
     unknowns: tuple[Unknown, ...]
     values: Array
     theta: Array
-    drifts: tuple[DriftStrength, ...]
-    log_likelihood: float
+    log_likelihood: float = 0.0
 
     def values_of(self, candidate: Candidate) -> Array:
         """The part of ``values`` that belongs to one of the fitted candidates."""
@@ -87,8 +79,7 @@ def fit_candidates(
     """
     unknowns = tuple(u for c in candidates for u in c.unknowns)
     if not unknowns:
-        drifts, log_likelihood = data.drifts(theta)
-        return Fit((), (), np.empty(0), theta, drifts, log_likelihood)
+        return Fit((), (), np.empty(0), theta, data.log_likelihood(theta))
     low, high = _bounds(unknowns)
     best: Fit | None = None
     for start in _promising(data, theta, unknowns, [np.clip(s, low, high) for s in starts]):
@@ -113,8 +104,7 @@ def _promising(data: Data, theta: Array, unknowns: Sequence[Unknown], starts: li
     if len(unique) <= DESCENTS:
         return list(unique)
     problem = data.problem.short or data.problem
-    plain = (DriftStrength(),) * len(data.sigma)
-    costs = np.mean(np.abs(data.whitened(place(theta, unknowns, unique), plain, problem)), axis=1)
+    costs = np.mean(np.abs(data.errors(place(theta, unknowns, unique), problem)), axis=1)
     order = [int(k) for k in np.argsort(costs)]
     present = (unique != np.array([u.nominal for u in unknowns])).all(axis=1)
     chosen = order[:DESCENTS]
@@ -133,36 +123,20 @@ def _descend(
     high: Array,
     tolerance: float,
 ) -> Fit:
-    scale = np.array([u.negligible for u in unknowns])
-    plain = (DriftStrength(),) * len(data.sigma)
     x = start
-    if data.problem.short is not None and data.drifting:  # drift does not lead to a local optimum in short runs
-        x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem.short, ROUGH)
-    x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, ROUGH)
+    if data.problem.short is not None:  # short runs lead to no local optimum
+        x = _least_squares(data, theta, unknowns, x, low, high, data.problem.short, ROUGH)
+    x = _least_squares(data, theta, unknowns, x, low, high, data.problem, ROUGH)
     if any(u.stepwise for u in unknowns):
         for reach in GRID:
             found = _search_grid(data, theta, unknowns, x, low, high, reach)
             if np.array_equal(found, x):  # the other parameters are at their optimum already
                 continue
-            x = _least_squares(data, theta, unknowns, found, low, high, scale, plain, data.problem, ROUGH)
-    drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
-    if not data.models_drift or not any(drift.present for drift in drifts):
-        if tolerance < ROUGH:
-            x = _least_squares(data, theta, unknowns, x, low, high, scale, plain, data.problem, tolerance)
-        drifts, log_likelihood = data.drifts(place(theta, unknowns, x[None])[0])
-    for _ in range(2):
-        # Where the stage does not integrate, drift does not mislead plain least squares, which published figures use.
-        if not data.models_drift or not any(drift.present for drift in drifts):
-            break
-        moved = _least_squares(data, theta, unknowns, x, low, high, scale, drifts, data.problem, tolerance)
-        renewed, better = data.drifts(place(theta, unknowns, moved[None])[0])
-        if better <= log_likelihood:
-            break
-        gained = better - log_likelihood
-        x, drifts, log_likelihood = moved, renewed, better
-        if gained < 0.1:
-            break
-    return Fit(candidates, unknowns, x, place(theta, unknowns, x[None])[0], drifts, log_likelihood)
+            x = _least_squares(data, theta, unknowns, found, low, high, data.problem, ROUGH)
+    if tolerance < ROUGH:
+        x = _least_squares(data, theta, unknowns, x, low, high, data.problem, tolerance)
+    at = place(theta, unknowns, x[None])[0]
+    return Fit(candidates, unknowns, x, at, data.log_likelihood(at))
 
 
 def _least_squares(
@@ -172,8 +146,6 @@ def _least_squares(
     start: Array,
     low: Array,
     high: Array,
-    scale: Array,
-    drifts: Sequence[DriftStrength],
     problem: Problem,
     tolerance: float,
 ) -> Array:
@@ -191,17 +163,16 @@ def _least_squares(
     def errors(part: Array) -> Array:
         if part.tobytes() not in known:
             known.clear()
-            known[part.tobytes()] = data.whitened(place(theta, unknowns, whole(part)[None]), drifts, problem)[0]
+            known[part.tobytes()] = data.errors(place(theta, unknowns, whole(part)[None]), problem)[0]
         return known[part.tobytes()].copy()  # the solver scales its argument in place
 
     def slopes(part: Array) -> Array:
-        return jacobian(data, theta, unknowns, whole(part), drifts, high, problem, errors(part), smooth)[1]
+        return jacobian(lambda thetas: data.errors(thetas, problem), theta, unknowns, whole(part), high, errors(part), smooth)
 
-    loss: Literal["soft_l1", "linear"] = "soft_l1" if data.drifting else "linear"
+    scale = np.array([u.negligible for u in unknowns])[smooth]
     solution = least_squares(
-        errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale[smooth], loss=loss,
-        f_scale=outlier_scale(errors(x[smooth])), ftol=tolerance, xtol=tolerance, max_nfev=40,
-    )  # fmt: skip
+        errors, x[smooth], slopes, (low[smooth], high[smooth]), x_scale=scale, ftol=tolerance, xtol=tolerance, max_nfev=40
+    )
     return whole(solution.x)
 
 
@@ -217,27 +188,23 @@ def _search_grid(
     lanes[:, searched] += sizes * np.stack(np.meshgrid(*[steps] * len(searched)), axis=-1).reshape(-1, len(searched))
     lanes = np.clip(lanes, low, high)
     thetas = place(theta, unknowns, lanes)
-    errors = np.abs(data.whitened(thetas, (DriftStrength(),) * len(data.sigma)))
-    costs = np.sum(errors if data.drifting else errors**2, axis=1)
-    best: Array = lanes[int(np.argmin(costs))]
+    best: Array = lanes[int(np.argmin(np.sum(data.errors(thetas) ** 2, axis=1)))]
     return best
 
 
 def jacobian(
-    data: Data,
+    errors: Callable[[Array], Array],
     theta: Array,
     unknowns: Sequence[Unknown],
     x: Array,
-    drifts: Sequence[DriftStrength],
     high: Array | None = None,
-    problem: Problem | None = None,
     known: Array | None = None,
     of: npt.NDArray[np.bool_] | None = None,
-) -> tuple[Array, Array]:
-    """Whitened residuals (n,) and their derivatives (n, k) at ``x``, all perturbations in one batch.
+) -> Array:
+    """Derivatives (n, k) of ``errors``, (lanes, N) → (lanes, n), at ``x``, all perturbations in one batch.
 
     Args:
-        known: the residuals, if already computed.
+        known: the errors at ``x`` (n,), if already computed.
         of: mask of the unknowns whose derivatives are requested; all by default.
     """
     step = np.array([(0.5 if u.stepwise else 0.05) * u.negligible for u in unknowns])
@@ -247,11 +214,10 @@ def jacobian(
     if high is not None:
         step = np.where(x + step > high, -step, step)
     asked = np.arange(len(x)) if of is None else np.flatnonzero(of)
-    lanes = (x + np.diag(step))[asked]
     if known is None:
-        known = data.whitened(place(theta, unknowns, x[None]), drifts, problem)[0]
-    moved = data.whitened(place(theta, unknowns, lanes), drifts, problem)
-    return known, ((moved - known) / step[asked, None]).T
+        known = errors(place(theta, unknowns, x[None]))[0]
+    moved = errors(place(theta, unknowns, (x + np.diag(step))[asked]))
+    return np.asarray(((moved - known) / step[asked, None]).T)
 
 
 def outlier_scale(r: Array) -> float:

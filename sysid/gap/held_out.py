@@ -108,7 +108,7 @@ def _without_fold(stage: Stage, model: Fitted, fold: int, folds: int) -> Array:
     if not model.candidates:
         return model.theta
     kept = [r for k, r in enumerate(stage.split.seen) if k % folds != fold]
-    data = Data(stage.problem, kept, stage.sigma, drifting=not stage.found.accumulates)
+    data = Data(stage.problem, kept, stage.sigma)
     return fit_candidates(data, stage.theta, model.candidates, [model.values]).theta
 
 

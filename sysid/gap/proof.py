@@ -240,7 +240,6 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, Reason]:
     refused = dict[str, Reason]()
     assert result.stage_fit is not None
     limits = result.limits if result.limits is not None else limits_of(result)
-    deciding = result.deciding if result.deciding is not None else limits
     adjusted = list(result.adjusted)
     for kept in result.named:
         candidate = kept.candidate
@@ -248,7 +247,7 @@ def _accept(stage: Stage, outcome: ProofOutcome) -> dict[str, Reason]:
         shown = ", ".join(f"{key} = {value}" for key, value in instance.parameters.items())
         share = _share(stage, candidate)
         elsewhere = _is_named(candidate, outcome)  # a pump shows at several stages
-        if why := _refusal(stage, kept, deciding, share):
+        if why := _refusal(stage, kept, limits, share):
             if elsewhere:
                 outcome.notes.append(f"{instance.name} on {instance.target} is not certain at the {stage.label}: {why}")
                 continue

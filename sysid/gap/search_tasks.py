@@ -19,7 +19,6 @@ from sysid.datasets import Store
 from sysid.execution import Executor, LocalExecutor
 from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.decision import Decision, NearMiss
-from sysid.gap.drift import DriftStrength
 from sysid.gap.fit import Fit
 from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.stage import ModelFit
@@ -99,8 +98,7 @@ Plain = dict[str, Any]
 _CLASSES = {
     found.__name__: found
     for found in (
-        AcceptedEffect, ComparedModel, Decision, DriftStrength, EffectEvidence, Explained, Fit, NearMiss, StageFit, StageResult,
-        Unknown,
+        AcceptedEffect, ComparedModel, Decision, EffectEvidence, Explained, Fit, NearMiss, StageFit, StageResult, Unknown,
     )
 }  # fmt: skip
 

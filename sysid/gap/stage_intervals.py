@@ -43,11 +43,7 @@ def with_intervals_of(stage: Stage, alone: Stage) -> Stage:
     result, names = stage.found, alone.found
     assert result.limits is not None
     assert names.limits is not None
-    limits = _with_names(result, result.limits, names, names.limits)
-    presence = result.presence
-    if presence is not None and names.presence is not None:
-        presence = _with_names(result, presence, names, names.presence)
-    return replace(stage, result=replace(result, limits=limits, presence=presence))
+    return replace(stage, result=replace(result, limits=_with_names(result, result.limits, names, names.limits)))
 
 
 def _with_names(result: StageResult, limits: Array, names: StageResult, alone: Array) -> Array:
@@ -61,7 +57,7 @@ def _with_names(result: StageResult, limits: Array, names: StageResult, alone: A
 
 
 def with_intervals(case: Case, stage: Stage) -> Stage:
-    """The stage with the intervals of its unknowns, where it has names: the hull of those of both likelihoods.
+    """The stage with the intervals of its unknowns, where it has names: the hull of two.
 
     The posterior of the decision's model includes the discrepancy; the profile of :mod:`sysid.gap.intervals` bounds, thresholds
     and noise of the input. Values of the latter replace those of the model where they leave a tenth less of the free runs, or
@@ -77,14 +73,10 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
     own = limits_of(result, _spread_of_parts(seen, stage.theta, result.stage_fit))
     known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
     limits = _hull(own, known.limits)
-    presence = None
-    if result.accumulates:
-        squares = known_of(replace(seen, drifting=False), stage.theta, result.fit, case.noise, case.seed)
-        presence = _hull(own, squares.limits)
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
     margin = 1.0 if stage.problem.stage in STATIC else TENTH
     fit = known.fit if margin * after < before else result.fit
-    return replace(stage, result=replace(result, fit=fit, limits=limits, presence=presence))
+    return replace(stage, result=replace(result, fit=fit, limits=limits))
 
 
 def _hull(one: Array, other: Array) -> Array:

@@ -39,7 +39,6 @@ class StageResult:
         stage_fit: the models that were compared and the decision; None where the nominal model explains the stage.
         names_alone: the result with the named effects alone, used where the adjusted ones fail on held-out recordings.
         limits: 95 % intervals of the unknowns of ``fit``, (k, 2), once computed.
-        presence: where errors accumulate, the intervals by least squares alone, which decide whether an effect may be absent.
     """
 
     problem: Problem
@@ -52,12 +51,6 @@ class StageResult:
     stage_fit: StageFit | None = None
     names_alone: StageResult | None = None
     limits: npt.NDArray[np.float64] | None = None
-    presence: npt.NDArray[np.float64] | None = None
-
-    @property
-    def deciding(self) -> npt.NDArray[np.float64] | None:
-        """The intervals that decide whether an effect may be absent: ``presence``, elsewhere ``limits``."""
-        return self.limits if self.presence is None else self.presence
 
     @property
     def accumulates(self) -> bool:

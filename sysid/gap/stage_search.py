@@ -173,7 +173,7 @@ def _adjusted_to_free_run(seen: Data, fitted: StageFit) -> StageFit:
     if decision.exact or decision.accumulates or not rest:
         return fitted
     begin = np.concatenate([model.values_of(c) for c in rest])
-    fit = fit_candidates(replace(seen, drifting=False), model.theta, rest, [begin])
+    fit = fit_candidates(seen, model.theta, rest, [begin])
     before, after = (spread_of(seen.residuals(theta[None])) for theta in (model.theta, fit.theta))
     if as_little(before, after):
         return fitted
@@ -236,10 +236,9 @@ def _result(problem: Problem, seen: Data, fitted: StageFit, nominal: float) -> S
 
 
 def _fit(seen: Data, candidates: Sequence[Candidate], theta: Array, model: ModelFit | None = None) -> Fit:
-    drifts, log_likelihood = seen.drifts(theta)
     values = model.values if model is not None else np.empty(0)
     unknowns = model.unknowns if model is not None else ()
-    return Fit(tuple(candidates), tuple(unknowns), values, theta, drifts, log_likelihood)
+    return Fit(tuple(candidates), tuple(unknowns), values, theta, seen.log_likelihood(theta))
 
 
 def _evidence(candidate: Candidate, fitted: StageFit) -> EffectEvidence:

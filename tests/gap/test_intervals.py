@@ -133,7 +133,7 @@ def test_a_dead_time_of_a_fraction_of_a_sample_is_told_from_none() -> None:
 
 
 def test_no_unknowns_no_intervals() -> None:
-    nothing = Fit((), (), np.empty(0), nominal().vector(), (), 0.0)
+    nothing = Fit((), (), np.empty(0), nominal().vector())
     data = Data(drive_problem(compile_plant(nominal()), arm().axis("slew")), (), np.array([1e-3]))
     found = known_of(data, nominal().vector(), nothing, {})
     assert found.limits.shape == (0, 2)

@@ -169,7 +169,7 @@ def test_a_name_beside_a_tie_and_an_adjusted_value_is_as_certain_as_it_is_alone(
     leak, oil, lag = (SimpleNamespace(label=label, unknowns=(0,)) for label in ("leak", "oil", "lag"))
 
     def stage(candidates: list[Any], values: list[float], limits: list[list[float]]) -> Stage:
-        fit = Fit(tuple(candidates), (), np.array(values), np.empty(0), (), 0.0)
+        fit = Fit(tuple(candidates), (), np.array(values), np.empty(0))
         named = tuple(SimpleNamespace(candidate=c) for c in candidates if c is not lag)
         result = StageResult(None, named, (), fit, 2.0, 1.0, limits=np.array(limits))  # type: ignore[arg-type]
         return Stage(None, None, np.ones(1), np.empty(0), result)  # type: ignore[arg-type]
@@ -368,7 +368,7 @@ def test_a_named_limit_of_the_pump_keeps_its_value_where_another_drive_does_not_
     monkeypatch.setattr(proof, "_uncertainty", lambda *_: SimpleNamespace(places=()))
     kept: Any = SimpleNamespace(candidate=pump, ties=())
     unused: Any = None
-    fit = Fit((pump,), pump.unknowns, np.array([1.4]), np.empty(0), (), 0.0)
+    fit = Fit((pump,), pump.unknowns, np.array([1.4]), np.empty(0))
     fitted = StageFit((), SimpleNamespace(model=None), {}, unused, unused)  # type: ignore[arg-type]
     result = StageResult(
         unused,

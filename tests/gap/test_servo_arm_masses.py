@@ -47,7 +47,7 @@ class Arm:
             chosen.append(self.candidates[name, "j2" if name == "link_mass_error" else axis])
         values = np.array([value for _, value in effects])
         unknowns = tuple(u for c in chosen for u in c.unknowns)
-        fit = Fit(tuple(chosen), unknowns, values, place(stage.theta, unknowns, values[None])[0], (), 0.0)
+        fit = Fit(tuple(chosen), unknowns, values, place(stage.theta, unknowns, values[None])[0])
         named = tuple(AcceptedEffect(c, EffectEvidence(1.0, 1.0, 0.0, 2.0)) for c in chosen)
         model = SimpleNamespace(deviations_of=lambda candidate: np.array([0.001]))
         fitted: Any = SimpleNamespace(decision=SimpleNamespace(model=model, exact=True))

@@ -13,20 +13,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Unknown
-from sysid.gap.data import MEMORY, Data
-from sysid.gap.drift import BIN, CLIP, DriftStrength, estimate_drift
+from sysid.gap.data import Data, joined
+from sysid.gap.drift import BIN, CLIP, DriftStrength, estimate_drift, to_bins, whiten_lanes
 from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.fit import Fit, fit_candidates, jacobian, place, starting_values
 from sysid.gap.prepare.case import Case, Stage, stage_candidates
-from sysid.gap.problem import FORCES
+from sysid.gap.problem import FORCES, Problem
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.thresholds import at_floor
 from sysid.plant import compile_plant
@@ -35,6 +37,8 @@ Array = npt.NDArray[np.float64]
 
 #: Largest number of models in one open hypothesis; those that fit best are used.
 MAX_ALTERNATIVES = 4
+#: Share of the drift that is left after 0.1 s at a stage that does not integrate: its memory is about a second.
+MEMORY = 0.9
 
 
 @dataclass(frozen=True)
@@ -128,15 +132,16 @@ def non_identifiable_set(
         seen: the recordings that the fit has seen.
     """
     fit = stage.found.fit
-    models = [plausible_model(base, kept, fit.unknowns, fit.values, seen, fit.drifts)]
+    drifts, _ = estimated_drifts(seen, seen.bins(fit.theta[None]))
+    models = [plausible_model(base, kept, fit.unknowns, fit.values, seen, drifts)]
     for alternative in alternatives:
         rest = tuple(c for c in fit.candidates if c is not kept and c.key != alternative.key)
         candidates = (*rest, alternative)
         refitted = fit_candidates(seen, case.theta, candidates, starting_values(candidates, (fit,), case.seed))
         # Effects that the alternative does not need are absent, not those of the repaired plant.
         absent = _as_in(base, case.theta, fit)
-        models.append(plausible_model(absent, alternative, refitted.unknowns, refitted.values, seen, fit.drifts))
-    return OpenHypothesis("tie", stage, tuple(models), fit.drifts)
+        models.append(plausible_model(absent, alternative, refitted.unknowns, refitted.values, seen, drifts))
+    return OpenHypothesis("tie", stage, tuple(models), drifts)
 
 
 def _unexcited(case: Case, stage: Stage, base: Array) -> list[OpenHypothesis]:
@@ -152,7 +157,7 @@ def _unexcited(case: Case, stage: Stage, base: Array) -> list[OpenHypothesis]:
         return []
     used = {c.key for c in fit.candidates}
     noise = noise_of_bin(stage.problem.rate(stage.split.seen[0]))
-    calm = tuple(DriftStrength(noise=noise, memory=drift.memory) for drift in fit.drifts)
+    calm = (DriftStrength(noise=noise, memory=_memory(stage.problem)),) * len(stage.sigma)
     found = []
     for candidate in stage_candidates(case, stage):
         if candidate.form is not candidate.effect.forms[0] or candidate.key in used:
@@ -178,7 +183,7 @@ def plausible_model(
     unknowns = tuple(unknowns)
     known = np.zeros((len(unknowns), len(unknowns)))
     if unknowns:
-        slopes = jacobian(seen, base, unknowns, values, drifts)[1]
+        slopes = jacobian(partial(whitened, seen, drifts), base, unknowns, values)
         known = slopes.T @ slopes
     return PlausibleModel(candidate, unknowns, values, place(base, unknowns, values[None])[0], known)
 
@@ -225,7 +230,7 @@ def discrimination(
         as drift.
     """
     best = _refitted(data, alternative, drifts)
-    own, left = (0.5 * float(np.sum(_whitened(data, theta, drifts) ** 2)) for theta in (truth.theta, best))
+    own, left = (0.5 * float(np.sum(_clipped(data, theta, drifts) ** 2)) for theta in (truth.theta, best))
     estimated = _log_likelihood(data, truth.theta, seed) - _log_likelihood(data, best, seed)
     error = np.concatenate([part.ravel() for part in data.residuals(alternative.theta[None])])
     return max(min(left - own, estimated), 0.0), math.sqrt(1.0 + float(np.nanmean(error**2)))
@@ -243,10 +248,10 @@ def _refitted(data: Data, alternative: PlausibleModel, drifts: Sequence[DriftStr
         return np.asarray(place(alternative.theta, unknowns, x[None])[0])
 
     def errors(x: Array) -> Array:
-        return np.concatenate([_whitened(data, theta(x), drifts), root @ (x - alternative.values)])
+        return np.concatenate([_clipped(data, theta(x), drifts), root @ (x - alternative.values)])
 
     def slopes(x: Array) -> Array:
-        return np.vstack([jacobian(data, alternative.theta, unknowns, x, drifts, high)[1], root])
+        return np.vstack([jacobian(partial(whitened, data, drifts), alternative.theta, unknowns, x, high), root])
 
     margin = 1e-9 * (high - low)
     scale = np.array([u.negligible for u in unknowns])
@@ -254,8 +259,49 @@ def _refitted(data: Data, alternative: PlausibleModel, drifts: Sequence[DriftStr
     return theta(least_squares(errors, start, slopes, (low, high), x_scale=scale, max_nfev=12).x)
 
 
-def _whitened(data: Data, theta: Array, drifts: Sequence[DriftStrength]) -> Array:
-    return np.asarray(np.clip(data.whitened(theta[None], drifts)[0], -CLIP, CLIP))
+def _clipped(data: Data, theta: Array, drifts: Sequence[DriftStrength]) -> Array:
+    return np.asarray(np.clip(whitened(data, drifts, theta[None])[0], -CLIP, CLIP))
+
+
+def whitened(data: Data, drifts: Sequence[DriftStrength], thetas: Array) -> Array:
+    """Residuals of parameter vectors (lanes, N) whitened by the drift of each signal, (lanes, n)."""
+    parts = data.bins(thetas)
+    for part, recording in zip(parts, data.recordings, strict=True):
+        activity = _activity(data.problem, recording)
+        for k, drift in enumerate(drifts):
+            if drift.present:
+                part[:, :, k] = whiten_lanes(part[:, :, k], activity, drift)
+            part[:, :, k] /= drift.noise
+    return joined(parts)
+
+
+def estimated_drifts(data: Data, bins: Sequence[Array]) -> tuple[tuple[DriftStrength, ...], float]:
+    """Drift of each signal in binned residuals, one (1, m, d) a recording, and the log-likelihood of all [nats]."""
+    activities = [_activity(data.problem, recording) for recording in data.recordings]
+    series = [[part[0, :, k] for part in bins] for k in range(len(data.sigma))]
+    found = [estimate_drift(each, activities, _memory(data.problem)) for each in series]
+    return tuple(drift for drift, _ in found), float(sum(total for _, total in found))
+
+
+def _memory(problem: Problem) -> float:
+    return 1.0 if problem.integrates else MEMORY
+
+
+def _activity(problem: Problem, recording: Recording) -> Array:
+    """Activity of the stage in each bin, mean 1, (m,); constant where it does not move.
+
+    Flow disturbances grow with the flow: a drive drifts in motion and hardly at rest.
+    """
+    measured = to_bins(problem.measured(recording), problem.rate(recording))
+    if not problem.integrates or len(measured) < 3:
+        return np.ones(len(measured))
+    rows = np.arange(len(measured))
+    there = ~np.isnan(measured[:, 0])
+    if there.sum() < 3:
+        return np.ones(len(measured))
+    moved = np.abs(np.gradient(np.interp(rows, rows[there], measured[there, 0])))
+    mean = float(moved.mean())
+    return moved / mean if mean > 0 else np.ones(len(measured))
 
 
 def _root(information: Array) -> Array:
@@ -267,14 +313,12 @@ def _root(information: Array) -> Array:
 
 def _log_likelihood(data: Data, theta: Array, seed: int) -> float:
     """Log-likelihood of the residuals with noise on every bin, under the drift estimated from them."""
-    memory = 1.0 if data.problem.integrates else MEMORY
     rng = np.random.default_rng(seed)
     noisy = [
-        bins[0] + rng.normal(0.0, noise_of_bin(data.problem.rate(recording)), bins[0].shape)
+        bins + rng.normal(0.0, noise_of_bin(data.problem.rate(recording)), bins.shape)
         for bins, recording in zip(data.bins(theta[None]), data.recordings, strict=True)
     ]
-    signals = range(len(data.sigma))
-    return float(sum(estimate_drift([part[:, k] for part in noisy], data.activities, memory)[1] for k in signals))
+    return estimated_drifts(data, noisy)[1]
 
 
 def noise_of_bin(rate_hz: float) -> float:
@@ -284,7 +328,7 @@ def noise_of_bin(rate_hz: float) -> float:
 
 def precision(data: Data, model: PlausibleModel, drifts: Sequence[DriftStrength]) -> Array:
     """Standard deviations of the unknowns of ``model`` from these and all earlier recordings, (k,): Cramér-Rao bound."""
-    slopes = jacobian(data, model.theta, model.unknowns, model.values, drifts)[1]
+    slopes = jacobian(partial(whitened, data, drifts), model.theta, model.unknowns, model.values)
     information = model.known + slopes.T @ slopes
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-10, hermitian=True)

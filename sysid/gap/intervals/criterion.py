@@ -1,8 +1,6 @@
 """Cost of a parameter vector in nats: the sum of softly winsorised squares of standardised residuals.
 
-Where errors may be a drift, residuals are the prediction errors of the fit's drift model; the model is always applied, since it
-also accounts for the noise of the sample from which a run starts. Elsewhere they are the residuals themselves, as in the fit,
-and their drift widens the intervals.
+Residuals are those of the free run, as in the fit; their correlation widens the intervals.
 
 Slopes of the standardised residuals at the scale of the uncertainty, and the effect of correlated residuals.
 
@@ -14,7 +12,7 @@ lengths, of which the widest result counts: it accounts for residuals that are n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +20,8 @@ from scipy import stats
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Unknown
-from sysid.gap.data import Data
-from sysid.gap.drift import BIN, DriftStrength, robust_scale, to_bins, whiten_lanes
+from sysid.gap.data import Data, joined
+from sysid.gap.drift import BIN, robust_scale, to_bins
 from sysid.gap.fit import outlier_scale, place
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +33,6 @@ class Criterion:
 
     Args:
         theta: vector of the plant under test.
-        drifts: of every signal, where errors may be a drift.
         scales: standard deviation of every signal's residuals in units of noise (d,).
         outlier: number of standard deviations beyond which a residual is an outlier.
     """
@@ -43,7 +40,6 @@ class Criterion:
     data: Data
     theta: Array
     unknowns: tuple[Unknown, ...]
-    drifts: tuple[DriftStrength, ...]
     scales: Array
     outlier: float
 
@@ -57,18 +53,11 @@ class Criterion:
 
     def errors(self, lanes: Array) -> Array:
         """Standardised residuals of values (L, k) of the unknowns, (L, n); missing bins are zero."""
-        data = self.data
-        return self.joined(data.bins(place(self.theta, self.unknowns, lanes)), data.activities)
+        return self.standardised(self.data.bins(place(self.theta, self.unknowns, lanes)))
 
-    def joined(self, bins: Sequence[Array], activities: Sequence[Array]) -> Array:
+    def standardised(self, bins: Sequence[Array]) -> Array:
         """Binned residuals in units of noise, one (L, m, d) a recording → standardised ones, (L, n)."""
-        lanes = []
-        for part, activity in zip(bins, activities, strict=True):
-            for k, (drift, scale) in enumerate(zip(self.drifts, self.scales, strict=True)):
-                series = part[:, :, k]
-                lanes.append((whiten_lanes(series, activity, drift) if self.data.models_drift else series) / scale)
-        joined: Array = np.nan_to_num(np.concatenate(lanes, axis=1))
-        return joined
+        return joined(self.data.levelled([part / self.scales for part in bins]))
 
     def predicted(self, values: Array, recordings: Sequence[Recording]) -> list[Array]:
         """Outputs (1, n, d) of each recording at ``values`` (k,)."""
@@ -82,8 +71,7 @@ class Criterion:
             missing = np.isnan(data.problem.measured(recording))
             residual = np.where(missing, np.nan, (one - other) / data.sigma)
             bins.append(to_bins(residual, data.problem.rate(recording)))
-        joined: Array = self.joined(bins, data.activities)[0]
-        return joined
+        return np.asarray(self.standardised(bins)[0])
 
     def weights(self, errors: Array) -> Array:
         """Below one for outliers."""
@@ -96,23 +84,18 @@ class Criterion:
 
     def lengths(self) -> list[int]:
         """Number of residuals of each recording and signal, in order."""
-        rows = [len(activity) for activity in self.data.activities]
+        problem, recordings = self.data.problem, self.data.recordings
+        rows = [len(to_bins(problem.measured(recording), problem.rate(recording))) for recording in recordings]
         return [count for count in rows for _ in self.scales]
 
 
 def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values: Array) -> Criterion:
-    """The cost with noise and drift as estimated at ``values`` (k,)."""
-    at = place(theta, unknowns, values[None])
-    if data.models_drift:
-        drifts, _ = data.drifts(at[0])
-        scales = np.array([drift.noise for drift in drifts])
-    else:
-        drifts = (DriftStrength(),) * len(data.sigma)
-        parts = data.bins(at)
-        series = [np.concatenate([part[0, :, k] for part in parts]) for k in range(len(data.sigma))]
-        scales = np.array([robust_scale(s[~np.isnan(s)]) if not np.isnan(s).all() else 1.0 for s in series])
-    rough = Criterion(data, theta, unknowns, drifts, np.maximum(scales, 1e-9), np.inf)
-    return Criterion(data, theta, unknowns, drifts, rough.scales, outlier_scale(rough.errors(values[None])[0]))
+    """The cost with the noise as estimated at ``values`` (k,)."""
+    parts = data.levelled(data.bins(place(theta, unknowns, values[None])))
+    series = [np.concatenate([part[0, :, k] for part in parts]) for k in range(len(data.sigma))]
+    scales = np.array([robust_scale(s[~np.isnan(s)]) if not np.isnan(s).all() else 1.0 for s in series])
+    rough = Criterion(data, theta, unknowns, np.maximum(scales, 1e-9), np.inf)
+    return replace(rough, outlier=outlier_scale(rough.errors(values[None])[0]))
 
 
 # -- curvature of the cost -----------------------------------------------------------------------------------------------------

@@ -122,7 +122,7 @@ ROUNDS, SETTLED = 8, 0.02
 
 
 def settled(data: Data, theta: Array, fit: Fit) -> Fit:
-    """The fit at maximum likelihood; where the stage does not integrate, at the least (softly winsorised) squares.
+    """The fit at the least (softly winsorised) squares.
 
     Args:
         theta: vector of the plant under test.
@@ -135,10 +135,7 @@ def settled(data: Data, theta: Array, fit: Fit) -> Fit:
             break
         values = moved
     at = place(theta, fit.unknowns, values[None])[0]
-    drifts, log_likelihood = data.drifts(at)
-    if data.models_drift and log_likelihood <= fit.log_likelihood:
-        return fit
-    return replace(fit, values=values, theta=at, drifts=drifts, log_likelihood=log_likelihood)
+    return replace(fit, values=values, theta=at, log_likelihood=data.log_likelihood(at))
 
 
 def descended(criterion: Criterion, values: Array) -> Array:

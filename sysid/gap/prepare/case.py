@@ -111,7 +111,7 @@ class Stage:
     @property
     def nominal(self) -> Fit:
         """The plant under test, without effects."""
-        return Fit((), (), np.empty(0), self.theta, (), 0.0)
+        return Fit((), (), np.empty(0), self.theta)
 
     @property
     def found(self) -> StageResult:

@@ -64,7 +64,7 @@ def replaces(data: Dataset, effect: KnownEffect, left: float) -> bool:
     study = steps.open_study(data, plant)
     (stage,) = study.stages
     theta = plant.with_effect(effect).vector()
-    fit = Fit((), (), np.empty(0), theta, (), 0.0)
+    fit = Fit((), (), np.empty(0), theta)
     return sag_replaces(study.case, replace(stage, result=StageResult(stage.problem, (), (), fit, 1.0, left)))
 
 
