@@ -152,12 +152,12 @@ def equivalent_half(candidate: Candidate, model: ModelFit) -> Array:
         return np.asarray(equivalent_change(model.left) / model.response[model.rows_of(candidate)])
 
 
-def within_equivalence(candidate: Candidate, model: ModelFit, rope: Mapping[EffectKey, float]) -> bool:
+def within_equivalence(candidate: Candidate, model: ModelFit, least: Mapping[EffectKey, float]) -> bool:
     """Whether the 95 % intervals of all its parameters reach into the region of practical equivalence.
 
     They include what the discrepancy could do in its place.
     """
-    half = np.maximum(equivalent_half(candidate, model), rope.get(candidate.key, 0.0))
+    half = np.maximum(equivalent_half(candidate, model), least.get(candidate.key, 0.0))
     reach = Z * np.hypot(model.deviations_of(candidate), model.confounded[model.rows_of(candidate)])
     size, slope = sizes_of(candidate.unknowns, model.values_of(candidate))
     nominal, _ = sizes_of(candidate.unknowns, np.array([u.nominal for u in candidate.unknowns]))

@@ -38,6 +38,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -72,6 +73,11 @@ class NearMiss:
     lacks: Reason
 
 
+def near_miss(candidate: Candidate, model: ModelFit, lacks: Reason) -> NearMiss:
+    """With the values that the effect has in a model."""
+    return NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks)
+
+
 @dataclass(frozen=True)
 class Decision:
     """Result of the comparison of the models of one stage.
@@ -102,7 +108,7 @@ class Decision:
         named = tuple(c for c in self.named if c.label not in lacks)
         tied = tuple(tie for tie in self.tied if tie[0].label not in lacks)
         taken = [c for c in (*self.named, *(tie[0] for tie in self.tied)) if c.label in lacks]
-        near = [NearMiss(c, self.model.values_of(c), self.model.deviations_of(c), lacks[c.label]) for c in taken]
+        near = [near_miss(c, self.model, lacks[c.label]) for c in taken]
         others = [m for m in self.near_misses if all(m.candidate.key != c.key for c in taken)]
         return replace(self, named=named, tied=tied, near_misses=(*near, *others))
 
@@ -121,119 +127,136 @@ class FreeRun:
     def left(self, model: ModelFit) -> float:
         return self.nearest(model).left
 
-    def priced(self, model: ModelFit) -> float:
+    def left_where_acting(self, model: ModelFit) -> float:
         """Remaining error that has to be worth the price: that where the effects act."""
         return self.left(model)
 
-    def further(self, model: ModelFit, other: ModelFit) -> float:
-        """Difference in remaining error between ``model`` and ``other``, in standard errors."""
+    def excess(self, model: ModelFit, other: ModelFit) -> float:
+        """By how many standard errors ``model`` leaves more than ``other``."""
         return 0.0
 
-    def moved(self, model: ModelFit, candidate: Candidate) -> float:
-        """Change of the output by one of its effects."""
+    def change(self, model: ModelFit, candidate: Candidate) -> float:
+        """Change of the output by one of the effects of a set, in noise floors."""
         away = model.values_of(candidate) - np.array([u.nominal for u in candidate.unknowns])
         return float(np.linalg.norm(model.response[model.rows_of(candidate)] * away))
 
 
-def decide(
-    models: Sequence[ModelFit],
-    nameable: Sequence[str],
-    rope: Mapping[EffectKey, float] | None = None,
-    shared: Sequence[str] = (),
-    own_evidence: Callable[[ModelFit], float] = lambda model: model.evidence,
-    needed: Callable[[ModelFit], float] = lambda model: np.inf,
-    integrates: bool = True,
-    free: FreeRun | None = None,
-    without: Callable[[ModelFit, Candidate], ModelFit] | None = None,
-    independent: bool = False,
-    first: frozenset[str] = frozenset(),
-    fewest: Callable[[ModelFit], Sequence[ModelFit]] | None = None,
-) -> Decision:
+class Compared(Protocol):
+    """The fitted sets of effects of one stage, and what the rule asks of them."""
+
+    @property
+    def models(self) -> Sequence[ModelFit]: ...
+
+    @property
+    def nameable(self) -> Sequence[str]:
+        """Labels of the candidates that the recordings excite enough."""
+
+    @property
+    def integrates(self) -> bool:
+        """Whether the output accumulates errors of its input, which the likelihood hardly shows if they are slow."""
+
+    @property
+    def independent(self) -> bool:
+        """Whether the errors of rows are independent (static poses), so that their mean shows effects below the noise floor.
+
+        Evidence alone decides between a model and a simpler one that reaches the floor.
+        """
+
+    @property
+    def frame(self) -> frozenset[str]:
+        """Labels of effects that come before the others: those of the frame of the measurement.
+
+        If they are worth their price, the others have to pay theirs by what they reduce beside these.
+        """
+
+    @property
+    def free(self) -> FreeRun: ...
+
+    def own_evidence(self, model: ModelFit) -> float:
+        """Evidence of a model with the discrepancy estimated beside it alone."""
+
+    def discrepancy_gain(self, model: ModelFit) -> float:
+        """Gain in evidence of a model by a discrepancy [nats]."""
+
+    def without(self, model: ModelFit, candidate: Candidate) -> ModelFit:
+        """A model without one of its effects, the others refitted."""
+
+    def fewest(self, model: ModelFit) -> Sequence[ModelFit] | None:
+        """The acceptable sets of fewest effects of a model where effects at rest replace each other; None elsewhere."""
+
+
+def decide(compared: Compared, equivalence: Mapping[EffectKey, float] | None = None, shared: Sequence[str] = ()) -> Decision:
     """Apply the rule to the models of a stage.
 
     Args:
-        nameable: labels of the candidates that the recordings excite enough.
-        rope: least half-widths of regions of equivalence, by effect.
+        equivalence: least half-widths of regions of equivalence, by effect.
         shared: labels of effects that another stage would have to share: of models that tie, one without them, and without
             effects that are not excited, is chosen.
-        own_evidence: evidence of a model with the discrepancy estimated beside it alone.
-        needed: gain in evidence of a model by a discrepancy [nats].
-        integrates: whether the output accumulates errors of its input, which the likelihood hardly shows if they are slow.
-        free: remaining errors over the free run, at the values of least error; by default at those of the models.
-        without: a model without one of its effects, the others refitted; by default looked up among ``models``.
-        independent: the errors of rows are independent (static poses), so that their mean shows effects below the noise floor:
-            evidence alone decides between a model and a simpler one that reaches the floor.
-        first: labels of effects that come before the others (the frame of the measurement): if they are worth their price, the
-            others have to pay theirs by what they reduce beside these.
-        fewest: where formulas are wrong and errors do not accumulate, the acceptable sets of fewest effects of a model.
     """
-    rope, free = rope or {}, free or FreeRun()
+    equivalence, models, free = equivalence or {}, compared.models, compared.free
     best = max(models, key=lambda f: float(f.predictive.sum()))
     survivors = sorted((f for f in models if survives(f, best)), key=lambda f: -f.evidence)
-    unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in nameable)}
-    likely = _likely(survivors, unsure, own_evidence)
-    if not integrates and not independent:
+    unsure = {*shared, *(c.label for f in models for c in f.candidates if c.label not in compared.nameable)}
+    likely = _likely(survivors, unsure, compared.own_evidence)
+    if not compared.integrates and not compared.independent:
         likely = list({f.labels: f for f in (simplest(f, models) for f in likely)}.values())
-    exact = needed(likely[0]) < LEAST
-    accumulates, static = integrates and not exact, not (integrates or exact)
+    exact = compared.discrepancy_gain(likely[0]) < LEAST
+    accumulates, static = compared.integrates and not exact, not (compared.integrates or exact)
+    fewest = compared.fewest(likely[0]) if static else None
     if accumulates:
-        acceptable = _nearest(models, unsure, free, own_evidence, needed)
+        acceptable = _nearest(compared, unsure)
         model = _whole(acceptable[0].with_values(free.least_squares(acceptable[0])), survivors, unsure)
         # Where slow errors accumulate under wrong formulas, the posterior of the whitened likelihood is not valid.
         tested = [free.least_squares(f) for f in acceptable]
     else:
-        acceptable = likely if fewest is None or not static else list(fewest(likely[0]))
+        acceptable = list(fewest or likely)
         model, tested = acceptable[0], acceptable
-    lacking = {c.key: _lacks(c, tested, nameable, rope) for c in model.candidates}
+    lacking = {c.key: _lacks(c, tested, compared.nameable, equivalence) for c in model.candidates}
     tying = {
         c.key: _partners(c, model, acceptable)
         for c in model.candidates
-        if lacking[c.key] == Reason.REPLACED and not within_equivalence(c, model, rope)
+        if lacking[c.key] == Reason.REPLACED and not within_equivalence(c, model, equivalence)
     }
-    known = {f.labels: f for f in models}
-    less = without or (lambda f, c: known[f.labels - {c.label}])
-    for c in model.candidates if static else ():
-        if not lacking[c.key] and not counts_beside(free.left(less(model, c)), free.left(model)):
-            lacking[c.key] = Reason.LITTLE
-    nothing, alone = next((f.left for f in models if not f.candidates), np.inf), model
-    if static and fewest is not None and without is not None:
-        lost, alone = _beyond_price(model, lacking, nothing, without, free)
-        lacking |= dict.fromkeys(lost, Reason.LITTLE)
-    beside = next((f.left for f in models if f.labels == first), nothing)
-    paid = bool(first) and pays(nothing, beside, len(first))
-    reference, apart = (beside, first) if paid else (nothing, frozenset())
+    nominal = next((f.left for f in models if not f.candidates), np.inf)
+    certain = model
+    if static:
+        for c in model.candidates:
+            if not lacking[c.key] and not counts_beside(free.left(compared.without(model, c)), free.left(model)):
+                lacking[c.key] = Reason.LITTLE
+        if fewest is not None:
+            lost, certain = _beyond_price(compared, model, lacking, nominal)
+            lacking |= dict.fromkeys(lost, Reason.LITTLE)
+    framed = next((f.left for f in models if f.labels == compared.frame), nominal)
+    frame = compared.frame if compared.frame and pays(nominal, framed, len(compared.frame)) else frozenset[str]()
     smallest = {c.key for c in acceptable[0].candidates}
-    certain = sum(not lacking[c.key] for c in model.candidates if c.label not in apart)
     if accumulates:
-        worth = pays(nothing, free.priced(acceptable[0]), len(smallest))
+        paid = pays(nominal, free.left_where_acting(acceptable[0]), len(smallest))
     else:
-        worth = exact or pays(reference, free.left(alone if alone.candidates else model), max(certain, 1))
+        names = sum(not lacking[c.key] for c in model.candidates if c.label not in frame)
+        left = free.left(certain if certain.candidates else model)
+        paid = exact or pays(framed if frame else nominal, left, max(names, 1))
     named, near, tied = [], [], []
     for candidate in model.candidates:
         lacks = lacking[candidate.key]
-        if not (worth or candidate.label in apart) or candidate.key not in smallest:
+        if not (paid or candidate.label in frame) or candidate.key not in smallest:
             lacks = Reason.LITTLE
-        elif not lacks and integrates and _repairs(candidate, acceptable[0], free):
+        elif not lacks and compared.integrates and _repairs(candidate, acceptable[0], free):
             lacks = Reason.REPAIRS
         elif not lacks:
             named.append(candidate)
             continue
         elif tying.get(candidate.key):
             tied.append((candidate, *tying[candidate.key]))
-        near.append(NearMiss(candidate, model.values_of(candidate), model.deviations_of(candidate), lacks))
+        near.append(near_miss(candidate, model, lacks))
     if static and fewest is None:
-        richer = _less_left(model, survivors, unsure, free)
-        more = [c for c in richer.candidates if c.label not in model.labels]
-        near += [NearMiss(c, richer.values_of(c), richer.deviations_of(c), Reason.LITTLE) for c in more]
-        model = richer
+        smaller, model = model, _less_left(model, survivors, unsure, free)
+        near += [near_miss(c, model, Reason.LITTLE) for c in model.candidates if c.label not in smaller.labels]
     predicts = not accumulates or any(acceptable[0] is f for f in survivors)
     seen = {c.key for c in model.candidates}
     for other in (*acceptable, *survivors):
-        for candidate in other.candidates:
-            if candidate.key not in seen:
-                seen.add(candidate.key)
-                values, deviations = other.values_of(candidate), other.deviations_of(candidate)
-                near.append(NearMiss(candidate, values, deviations, Reason.REPLACED if predicts else Reason.LITTLE))
+        new = [c for c in other.candidates if c.key not in seen]
+        near += [near_miss(c, other, Reason.REPLACED if predicts else Reason.LITTLE) for c in new]
+        seen |= {c.key for c in new}
     return Decision(model, tuple(named), tuple(tied), tuple(near), tuple(survivors), tuple(acceptable), exact, accumulates)
 
 
@@ -255,56 +278,46 @@ def _with_other_effects(models: Sequence[ModelFit], chosen: ModelFit) -> list[Mo
 
 
 def _beyond_price(
-    model: ModelFit,
-    lacking: Mapping[EffectKey, Reason | None],
-    nothing: float,
-    without: Callable[[ModelFit, Candidate], ModelFit],
-    free: FreeRun,
+    compared: Compared, model: ModelFit, lacking: Mapping[EffectKey, Reason | None], nominal: float
 ) -> tuple[list[EffectKey], ModelFit]:
     """Certain effects that are not worth a name, and the set of the others alone.
 
     One by one, the effect that leaves least without it, until each of the others moves the output by what remains, and they are
     worth their price together: without the effects that are not certain, which may exchange with it (a dead time with a lag).
     """
-    lost, alone = list[EffectKey](), model
+    lost, certain, left = list[EffectKey](), model, compared.free.left
     for candidate in model.candidates:
         if lacking[candidate.key]:
-            alone = without(alone, candidate)
-    while alone.candidates:
-        first = min(alone.candidates, key=lambda c: free.left(without(alone, c)))
-        less = without(alone, first)
-        left = free.left(alone)
-        if counts_beside(free.left(less), left) and pays(nothing, left, len(alone.candidates)):
+            certain = compared.without(certain, candidate)
+    while certain.candidates:
+        least = min(certain.candidates, key=lambda c: left(compared.without(certain, c)))
+        less = compared.without(certain, least)
+        if counts_beside(left(less), left(certain)) and pays(nominal, left(certain), len(certain.candidates)):
             break
-        lost.append(first.key)
-        alone = less
-    return lost, alone
+        lost.append(least.key)
+        certain = less
+    return lost, certain
 
 
 # -- the free run: formulas wrong and errors accumulate ----------------------------------------------------------------------
 
 
-def _nearest(
-    models: Sequence[ModelFit],
-    unsure: set[str],
-    free: FreeRun,
-    own_evidence: Callable[[ModelFit], float],
-    needed: Callable[[ModelFit], float],
-) -> list[ModelFit]:
+def _nearest(compared: Compared, unsure: set[str]) -> list[ModelFit]:
     """The smallest sets of effects that explain the output and to which no other is preferred; least remaining error first."""
-    close = smallest_sets(models, free.priced)
+    free = compared.free
+    close = smallest_sets(compared.models, free.left_where_acting)
 
     def likelier(f: ModelFit, g: ModelFit) -> bool:
         """Clearly, each with its values of least squares: its likeliest values may explain fast errors alone.
 
         Where formulas are wrong, very strong evidence of one block is not enough, nor a fifth of what they lack beside the set.
         """
-        better, other = (own_evidence(each.with_values(free.least_squares(each))) for each in (f, g))
-        return better - other > max(2.0 * BLOCK_NATS, needed(f) / PRICE)
+        better, other = (compared.own_evidence(each.with_values(free.least_squares(each))) for each in (f, g))
+        return better - other > max(2.0 * BLOCK_NATS, compared.discrepancy_gain(f) / PRICE)
 
     def preferred(f: ModelFit, g: ModelFit) -> bool:
         """Less remaining error; without a difference the simpler set, the one without values at bounds, or the likelier one."""
-        less, more = (free.further(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
+        less, more = (free.excess(*pair) > STANDARD_ERRORS for pair in ((g, f), (f, g)))
         edges = [any(at_bound(c, each) for c in each.candidates) for each in (f, g)]
         return (less or simpler(f, g) or edges == [False, True] or likelier(f, g)) and not more
 
@@ -335,7 +348,7 @@ def _likeliest_minimal(models: Sequence[ModelFit], unsure: set[str]) -> ModelFit
 
 
 def _lacks(
-    candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], rope: Mapping[EffectKey, float]
+    candidate: Candidate, models: Sequence[ModelFit], nameable: Sequence[str], equivalence: Mapping[EffectKey, float]
 ) -> Reason | None:
     """Condition for a name that an effect of the chosen model fails; None where it fails none."""
     if candidate.label not in nameable:
@@ -344,7 +357,7 @@ def _lacks(
         return Reason.AT_BOUND
     if not all(any(c.key == candidate.key for c in f.candidates) for f in models):
         return Reason.REPLACED
-    if any(within_equivalence(c, f, rope) for f in models for c in f.candidates if c.key == candidate.key):
+    if any(within_equivalence(c, f, equivalence) for f in models for c in f.candidates if c.key == candidate.key):
         return Reason.UNCERTAIN
     return None
 
@@ -358,7 +371,7 @@ def _repairs(candidate: Candidate, model: ModelFit, free: FreeRun) -> bool:
     if candidate.effect.stage != "command":
         return False
     alike = [c for c in model.candidates if c.target == candidate.target and _confused(c, candidate)]
-    return any(free.moved(model, candidate) < free.moved(model, other) for other in alike)
+    return any(free.change(model, candidate) < free.change(model, other) for other in alike)
 
 
 def _confused(one: Candidate, other: Candidate) -> bool:

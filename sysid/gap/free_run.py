@@ -55,15 +55,14 @@ class LeastSquares(FreeRun):
         found = self.proposals.warm(model.candidates, model)
         return found if found.left <= SAME * model.left else self.proposals.fit(model.candidates, model.values[None])
 
-    def priced(self, model: ModelFit) -> float:
+    def left_where_acting(self, model: ModelFit) -> float:
         rows, fitted = self.proposals.likelihood.rows, self.nearest(model)
         errors = rows.scaled(np.column_stack([rows.nominal, rows.residuals(fitted.theta[None])[0]]))
         before, after, moved = (self._of_recordings(each**2) for each in (*errors.T, errors[:, 1] - errors[:, 0]))
         count = self._of_recordings(rows.present.astype(float))
         return min(fitted.left, left_where_acting(before, after, moved, count, rows.averaged_out))
 
-    def further(self, model: ModelFit, other: ModelFit) -> float:
-        """Difference in error between two sets over blocks, in standard errors; positive where ``model`` leaves more."""
+    def excess(self, model: ModelFit, other: ModelFit) -> float:
         return self.standard_errors(self._squares(model) - self._squares(other))
 
     def standard_errors(self, blocks: Array) -> float:
@@ -80,7 +79,7 @@ class LeastSquares(FreeRun):
             variance += 2.0 * (1.0 - lag / (LAGS + 1)) * float((away[lag:] * away[:-lag])[together].sum())
         return float(blocks.sum() / np.sqrt(variance)) if variance > 0.0 else 0.0
 
-    def moved(self, model: ModelFit, candidate: Candidate) -> float:
+    def change(self, model: ModelFit, candidate: Candidate) -> float:
         """Error without one of the effects, the others refitted, less the error with it (in quadrature)."""
         less = self.proposals.without(self.nearest(model), candidate)
         return float(np.sqrt(max(less.left**2 - self.left(model) ** 2, 0.0)))

@@ -95,17 +95,41 @@ class StageSearch:
             self._evidence[key] = own_evidence(self.proposals.likelihood, self.start, fit)
         return self._evidence[key]
 
-    def needed(self, fit: ModelFit) -> float:
+    def discrepancy_gain(self, fit: ModelFit) -> float:
         """Gain in evidence of a model by a discrepancy [nats]."""
-        key = "needed", fit
+        key = "gain", fit
         if key not in self._evidence:
             self._evidence[key] = fit.evidence - fit_model(self.bare, fit.candidates, fit.values[None]).evidence
         return self._evidence[key]
 
-    def decided(self, rope: Mapping[EffectKey, float], shared: Sequence[str]) -> StageFit:
-        """The decision on the stage; ``rope`` and ``shared`` as in :func:`sysid.gap.decision.decide`."""
+    @property
+    def models(self) -> Sequence[ModelFit]:
+        """Sets near the likeliest one, and those that explain the free run."""
+        near = (*self.proposals.near(), *(self.proposals.fits[labels] for labels in self.smallest))
+        return tuple({f.labels: f for f in near}.values())
+
+    @property
+    def integrates(self) -> bool:
+        return self.proposals.likelihood.rows.problem.integrates
+
+    @property
+    def independent(self) -> bool:
+        return False
+
+    @property
+    def frame(self) -> frozenset[str]:
+        return frozenset()
+
+    def without(self, model: ModelFit, candidate: Candidate) -> ModelFit:
+        return self.proposals.without(model, candidate)
+
+    def fewest(self, model: ModelFit) -> Sequence[ModelFit] | None:
+        return fewest_sets(model, self.excited, self.proposals.warm) if self.sags else None
+
+    def decided(self, equivalence: Mapping[EffectKey, float], shared: Sequence[str]) -> StageFit:
+        """The decision on the stage; ``equivalence`` and ``shared`` as in :func:`sysid.gap.decision.decide`."""
         proposals = self.proposals
-        decision = self._decide(rope, shared)
+        decision = decide(self, equivalence, shared)
         for _ in range(4):  # every survivor without each of its effects, until nothing new survives
             before = len(proposals.fits)
             for survivor in (decision.model, *decision.acceptable):
@@ -113,32 +137,13 @@ class StageSearch:
                     proposals.without(survivor, candidate)
             if len(proposals.fits) == before:
                 break
-            decision = self._decide(rope, shared)
+            decision = decide(self, equivalence, shared)
         fitted = _fitted(proposals, decision, self.free)
         if not decision.named or len(decision.named) == len(decision.model.candidates):
             return fitted
         names = _valued(proposals.warm(decision.named, decision.model), decision, self.free)
         alone = replace(decision, model=names, acceptable=(names,), tied=())
         return replace(fitted, names_alone=_fitted(proposals, alone, self.free))
-
-    def _decide(self, rope: Mapping[EffectKey, float], shared: Sequence[str]) -> Decision:
-        proposals = self.proposals
-        models = {f.labels: f for f in (*proposals.near(), *(proposals.fits[labels] for labels in self.smallest))}
-        return decide(
-            tuple(models.values()),
-            self.nameable,
-            rope,
-            shared,
-            self.own_evidence,
-            self.needed,
-            proposals.likelihood.rows.problem.integrates,
-            self.free,
-            proposals.without,
-            fewest=self._fewest if self.sags else None,
-        )
-
-    def _fewest(self, fit: ModelFit) -> list[ModelFit]:
-        return fewest_sets(fit, self.excited, self.proposals.warm)
 
 
 def search_stage(
@@ -176,7 +181,7 @@ def search_stage(
     excited = [c for c in candidates if c.label in nameable]
     nothing = timing_alone(rows, timing)
     free = free_run_of(rows, nothing if problem.integrates else timing_alone(rows, 0.0), excited)
-    sets = smallest_sets(free.sets(), free.priced) if problem.integrates else [free.proposals.fit(())]
+    sets = smallest_sets(free.sets(), free.left_where_acting) if problem.integrates else [free.proposals.fit(())]
     known = dict(free.proposals.fits)
     discrepancy = discrepancy_of(model, rows, theta, timing)
     variances = first_variances(rows, start, len(discrepancy.groups), FREE_RUN_TAU if problem.integrates else FIRST_TAU)
@@ -197,7 +202,7 @@ def search_stage(
     sagging, smallest = sags(model.machine, problem, excited), tuple(f.labels for f in sets)
     search = StageSearch(proposals, free, start, bare, tuple(excited), tuple(nameable), sagging, smallest)
     proposals.forward(proposals.best)
-    if not problem.integrates or search.needed(proposals.best) < MISSPECIFIED:
+    if not problem.integrates or search.discrepancy_gain(proposals.best) < MISSPECIFIED:
         proposals.around()
     for fit in sets:
         proposals.warm(fit.candidates, fit)

@@ -104,14 +104,14 @@ def find_stage(
     elif is_pose_set(case.dataset):
         result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     else:
-        model, rope = compile_plant(case.plant), _equivalence(case, candidates)
+        model, equivalence = compile_plant(case.plant), _equivalence(case, candidates)
         stated = case.order is not None and case.order.source == "stated" and problem.stage == "command"
         timing = 0.0 if stated else TIMING / stage.split.seen[0].rate_hz
         shared = [c.label for c in candidates if problem.stage in STATIC and c.key in _scales_of_drives(case)]
 
         def search(some: Sequence[Candidate]) -> StageFit:
             seen_by = problem, stage.split.seen, stage.theta, stage.sigma
-            return search_stage(model, *seen_by, some, nameable, fits, timing).decided(rope, shared)
+            return search_stage(model, *seen_by, some, nameable, fits, timing).decided(equivalence, shared)
 
         fitted = search_alternatives(seen, stage.theta, candidates, search)
         if problem.stage == "force":

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from compared_models import decided
 from plant_data import arm, nominal, slide
 
 from sysid.gap import thresholds
 from sysid.gap.candidates import Candidate, candidates_at
 from sysid.gap.comparison import difference, pays, simpler, survives
-from sysid.gap.decision import FreeRun, decide
+from sysid.gap.decision import FreeRun
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.reasons import Reason
 from sysid.gap.thresholds import BLOCK_NATS
@@ -61,7 +62,7 @@ ALL = tuple(OFFERED)
 
 
 def test_an_effect_without_which_nothing_predicts_as_well_is_named() -> None:
-    found = decide([NOTHING, model(BAND), model(LAG, worse=3.0, left=3.0), model(BAND, LAG)], ALL)
+    found = decided([NOTHING, model(BAND), model(LAG, worse=3.0, left=3.0), model(BAND, LAG)], ALL)
     assert found.named == (BAND,)
     assert found.model.candidates == (BAND,)
     assert found.tied == ()
@@ -69,7 +70,7 @@ def test_an_effect_without_which_nothing_predicts_as_well_is_named() -> None:
 
 
 def test_what_a_larger_survivor_holds_besides_is_a_near_miss() -> None:
-    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL)
+    found = decided([NOTHING, model(BAND), model(BAND, LAG)], ALL)
     (near,) = found.near_misses
     assert near.candidate is LAG
     assert near.lacks == Reason.REPLACED
@@ -78,21 +79,21 @@ def test_what_a_larger_survivor_holds_besides_is_a_near_miss() -> None:
 
 def test_nothing_is_named_where_nothing_is_left_to_explain() -> None:
     """However certain an effect is: what moves an output that is within a tenth of its noise floor does not matter."""
-    found = decide([model(worse=4.0, left=1.1), model(BAND), model(LAG, worse=0.02)], ALL)
+    found = decided([model(worse=4.0, left=1.1), model(BAND), model(LAG, worse=0.02)], ALL)
     assert found.named == ()
     assert found.tied == ()
     assert {n.candidate.label for n in found.near_misses} == {BAND.label, LAG.label}
 
 
 def test_the_model_without_effects_alone_is_a_decision() -> None:
-    found = decide([model()], ALL)
+    found = decided([model()], ALL)
     assert (found.named, found.tied, found.near_misses) == ((), (), ())
 
 
 def test_a_value_inside_the_region_of_practical_equivalence_is_no_name() -> None:
     half = float(np.sqrt(thresholds.TENTH**2 - 1.0)) / RESPONSE
     for away, named in ((0.9 * half, False), (1.2 * half, True)):
-        found = decide([NOTHING, model(DELAY, away=away, deviation=0.01 * half)], ALL)
+        found = decided([NOTHING, model(DELAY, away=away, deviation=0.01 * half)], ALL)
         assert (found.named == (DELAY,)) == named
         if not named:
             assert found.near_misses[0].lacks is Reason.UNCERTAIN
@@ -108,7 +109,7 @@ def test_no_effect_is_named_with_a_value_at_a_bound() -> None:
                 values = inside.copy()
                 values[k] = end
                 made = replace(model(candidate), values=values)
-                found = decide([NOTHING, made], ALL)
+                found = decided([NOTHING, made], ALL)
                 if end in (unknown.nominal, absent):
                     assert not any(near.lacks == Reason.AT_BOUND for near in found.near_misses)
                     continue
@@ -116,14 +117,14 @@ def test_no_effect_is_named_with_a_value_at_a_bound() -> None:
                 assert (found.named, found.tied) == ((), ()), f"{candidate.label}: {unknown.key} = {end}"
                 assert [near.lacks for near in found.near_misses] == [Reason.AT_BOUND]
                 values[k] = end - 0.01 * np.sign(end) * max(abs(end), 1e-3)
-                clear = decide([NOTHING, replace(made, values=values)], ALL)
+                clear = decided([NOTHING, replace(made, values=values)], ALL)
                 assert not any(near.lacks == Reason.AT_BOUND for near in clear.near_misses)
     assert tried > 40
 
 
 def test_an_interval_that_reaches_into_the_region_is_no_name() -> None:
     half = float(np.sqrt(thresholds.TENTH**2 - 1.0)) / RESPONSE
-    sure, unsure = (decide([NOTHING, model(DELAY, away=3.0 * half, deviation=d * half)], ALL) for d in (0.9, 1.1))
+    sure, unsure = (decided([NOTHING, model(DELAY, away=3.0 * half, deviation=d * half)], ALL) for d in (0.9, 1.1))
     assert sure.named == (DELAY,)
     assert unsure.named == ()
 
@@ -147,7 +148,7 @@ def test_a_lag_that_exchanges_with_a_dead_time_takes_no_name_from_the_sag_of_a_s
 
     nothing, whole = fits[frozenset()], fits[frozenset({BAND.label, LAG.label, DELAY.label})]
     best = model(*whole.candidates, left=whole.left)
-    found = decide([nothing, best], ALL, integrates=False, without=without, fewest=lambda fit: [fit])
+    found = decided([nothing, best], ALL, integrates=False, smaller=without, fewest=lambda fit: [fit])
     assert found.named == (BAND,)
     assert {near.candidate for near in found.near_misses} == {LAG, DELAY}
 
@@ -161,7 +162,7 @@ def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: f
     def without(fit: ModelFit, candidate: Candidate) -> ModelFit:
         return fits[fit.labels - {candidate.label}]
 
-    found = decide(list(fits.values()), ALL, needed=lambda _: needed, integrates=False, without=without)
+    found = decided(list(fits.values()), ALL, discrepancy_gain=lambda _: needed, integrates=False, smaller=without)
     assert found.model is (both if taken else alone)
     assert found.named == (BAND,)
     (near,) = found.near_misses
@@ -171,17 +172,17 @@ def test_what_the_discrepancy_replaces_in_the_likelihood_is_in_the_plant(left: f
 def test_the_region_grows_with_what_is_left_and_with_what_is_open_otherwise() -> None:
     half = float(np.sqrt(thresholds.TENTH**2 - 1.0)) / RESPONSE
     chosen = model(DELAY, away=2.0 * half, deviation=0.01 * half)
-    assert decide([NOTHING, chosen], ALL).named == (DELAY,)
+    assert decided([NOTHING, chosen], ALL).named == (DELAY,)
     left = ModelFit(**{**vars(chosen), "left": 3.0})
-    assert decide([NOTHING, left], ALL).named == ()
-    assert decide([NOTHING, chosen], ALL, {DELAY.key: 3.0 * half}).named == ()
+    assert decided([NOTHING, left], ALL).named == ()
+    assert decided([NOTHING, chosen], ALL, {DELAY.key: 3.0 * half}).named == ()
 
 
 def test_one_parameter_outside_the_region_is_enough() -> None:
     chosen = model(BAND)
     values = np.array([u.nominal for u in chosen.unknowns])
     values[-1] += 0.1
-    assert decide([NOTHING, ModelFit(**{**vars(chosen), "values": values})], ALL).named == (BAND,)
+    assert decided([NOTHING, ModelFit(**{**vars(chosen), "values": values})], ALL).named == (BAND,)
 
 
 # -- how many effects explain the output -----------------------------------------------------------------------------------
@@ -190,7 +191,7 @@ def test_one_parameter_outside_the_region_is_enough() -> None:
 @pytest.mark.parametrize(("without", "named"), [(3.8, False), (4.1, True)])
 def test_an_effect_has_to_divide_what_is_left_by_its_price(without: float, named: bool) -> None:
     """The variance above the noise floor by five: 4² − 1 = 5·(2² − 1)."""
-    found = decide([model(worse=4.0, left=without), model(DELAY, away=0.5, left=2.0)], ALL)
+    found = decided([model(worse=4.0, left=without), model(DELAY, away=0.5, left=2.0)], ALL)
     assert (found.named == (DELAY,)) == named
     if not named:
         assert found.near_misses[0].lacks == Reason.LITTLE
@@ -199,7 +200,7 @@ def test_an_effect_has_to_divide_what_is_left_by_its_price(without: float, named
 def test_effects_that_repair_what_the_first_one_leaves_have_no_name() -> None:
     """One takes 30 floors to 5; with three more, each of which takes a little, it is 2.5."""
     models = [model(worse=9.0, left=30.0), model(BAND, worse=4.0, left=5.0), model(BAND, LAG, worse=2.0, left=4.0)]
-    found = decide([*models, model(BAND, LAG, DELAY, GAIN, left=2.5)], ALL)
+    found = decided([*models, model(BAND, LAG, DELAY, GAIN, left=2.5)], ALL)
     assert found.named == (BAND,)
     assert found.model.candidates == (BAND, LAG, DELAY, GAIN), "their values go into the plant all the same"
     assert {n.lacks for n in found.near_misses} == {Reason.LITTLE}
@@ -207,11 +208,11 @@ def test_effects_that_repair_what_the_first_one_leaves_have_no_name() -> None:
 
 def test_two_effects_that_help_together_alone_are_both_named() -> None:
     one = [model(BAND, worse=3.0, left=18.0), model(GAIN, worse=3.0, left=19.0)]
-    assert set(decide([model(worse=4.0, left=20.0), *one, model(BAND, GAIN)], ALL).named) == {BAND, GAIN}
+    assert set(decided([model(worse=4.0, left=20.0), *one, model(BAND, GAIN)], ALL).named) == {BAND, GAIN}
 
 
 def test_what_is_further_off_than_without_any_effect_explains_nothing() -> None:
-    assert decide([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL).named == ()
+    assert decided([model(worse=4.0, left=15.0), model(DELAY, away=0.5, left=20.0)], ALL).named == ()
 
 
 @pytest.mark.parametrize(("least", "named"), [(2.1, (DELAY,)), (2.6, (DELAY,)), (2.7, (DELAY, LAG))])
@@ -227,7 +228,7 @@ def test_each_name_moves_the_output_by_what_remains_beside_the_others(least: flo
 
     alone, both = model(DELAY, worse=4.0, left=9.0), model(DELAY, LAG, left=2.0)
     models = [model(worse=4.0, left=30.0), alone, model(LAG, worse=4.0, left=20.0), both]
-    assert decide(models, ALL, integrates=False, free=Nearest()).named == named
+    assert decided(models, ALL, integrates=False, free=Nearest()).named == named
 
 
 def test_where_errors_add_up_the_values_are_those_that_leave_least_of_the_output() -> None:
@@ -242,7 +243,7 @@ def test_where_errors_add_up_the_values_are_those_that_leave_least_of_the_output
         def left(self, model: ModelFit) -> float:
             return self.least_squares(model).left
 
-    found = decide(models, ALL, free=Nearest())
+    found = decided(models, ALL, free=Nearest())
     assert found.named == (BAND,)
     assert found.model.values == pytest.approx(nearest.values)
     assert (found.model.left, found.model.evidence) == (2.0, models[1].evidence)
@@ -252,7 +253,7 @@ def test_two_forms_of_an_effect_are_one_hypothesis() -> None:
     """Whichever of them the recordings do not distinguish, the effect is in both; the likelier one has the values."""
     spool, seals = OFFERED["stiction(boom) [spool_breakaway, spool_release]"], OFFERED["stiction(boom)"]
     models = [NOTHING, model(spool, evidence=-1.0), replace(model(seals, evidence=-2.0), values=np.array([0.0, 0.0]))]
-    found = decide(models, ALL, needed=right)
+    found = decided(models, ALL, discrepancy_gain=right)
     assert (found.named, found.tied) == ((spool,), ())
     assert len(found.acceptable) == 1
 
@@ -266,10 +267,10 @@ class Compared(FreeRun):
     def __init__(self, further: float = 0.0, moved: dict[Candidate, float] | None = None) -> None:
         self.standard_errors, self.moves = further, moved or {}
 
-    def further(self, model: ModelFit, other: ModelFit) -> float:
+    def excess(self, model: ModelFit, other: ModelFit) -> float:
         return self.standard_errors * (len(model.labels & {LAG.label}) - len(other.labels & {LAG.label}))
 
-    def moved(self, model: ModelFit, candidate: Candidate) -> float:
+    def change(self, model: ModelFit, candidate: Candidate) -> float:
         return self.moves[candidate]
 
 
@@ -277,7 +278,7 @@ class Compared(FreeRun):
 def test_one_set_is_preferred_if_it_leaves_significantly_less(standard_errors: float, named: bool) -> None:
     """Where formulas are wrong, nine nats for the other one do not count."""
     models = [NOTHING, model(DELAY, evidence=-9.0), model(LAG, evidence=0.0)]
-    found = decide(models, ALL, free=Compared(standard_errors))
+    found = decided(models, ALL, free=Compared(standard_errors))
     assert (found.named == (DELAY,)) == named
     assert bool(found.tied) != named
 
@@ -312,27 +313,27 @@ def test_of_two_sets_that_the_run_does_not_separate_the_likelier_one_is_meant(
             return self.least_squares(model).left
 
     models = [model(worse=9.0, left=30.0), model(DELAY, left=3.0), model(LAG, left=3.0)]
-    found = decide(models, ALL, own_evidence=own_evidence, free=Nearest(standard_errors), needed=lambda fit: needed)
+    found = decided(models, ALL, own_evidence=own_evidence, free=Nearest(standard_errors), discrepancy_gain=lambda fit: needed)
     assert (found.named == (LAG,)) == named
 
 
 def test_a_difference_that_formulas_could_make_is_none() -> None:
     """One effect leaves 2 floors, another 3.9: variances within a factor of five."""
     models = [model(worse=9.0, left=30.0), model(DELAY, evidence=0.0, left=2.0), model(LAG, evidence=-1.0, left=3.9)]
-    assert decide(models, ALL).tied == ((DELAY, LAG),)
+    assert decided(models, ALL).tied == ((DELAY, LAG),)
     further_off = ModelFit(**{**vars(models[2]), "left": 4.1})
-    assert decide([*models[:2], further_off], ALL).named == (DELAY,)
+    assert decided([*models[:2], further_off], ALL).named == (DELAY,)
 
 
 def test_what_fits_at_the_edge_of_the_plausible_is_no_alternative() -> None:
     edge = model(LAG)
     values = np.array([u.bounds[1] for u in edge.unknowns])
-    found = decide([NOTHING, model(DELAY), ModelFit(**{**vars(edge), "values": values})], ALL)
+    found = decided([NOTHING, model(DELAY), ModelFit(**{**vars(edge), "values": values})], ALL)
     assert found.named == (DELAY,)
 
 
 def test_effects_in_each_other_s_place_tie() -> None:
-    found = decide([NOTHING, model(DELAY), model(LAG, worse=0.02, left=1.05)], ALL)
+    found = decided([NOTHING, model(DELAY), model(LAG, worse=0.02, left=1.05)], ALL)
     assert found.named == ()
     assert found.tied == ((DELAY, LAG),)
     assert len(found.acceptable) == 2
@@ -341,7 +342,7 @@ def test_effects_in_each_other_s_place_tie() -> None:
 
 def test_what_two_alternatives_share_is_named_beside_their_tie() -> None:
     models = [NOTHING, model(BAND, DELAY), model(BAND, LAG, worse=0.02, left=1.05), model(BAND, worse=2.0, left=5.0)]
-    found = decide(models, ALL)
+    found = decided(models, ALL)
     assert found.named == (BAND,)
     assert found.tied == ((DELAY, LAG),)
 
@@ -350,11 +351,11 @@ def test_what_two_alternatives_share_is_named_beside_their_tie() -> None:
 def test_what_may_repair_the_formula_of_an_effect_that_it_looks_like_has_no_name(moves: float, named: bool) -> None:
     """The one that moves more is named; a band and a gain are not confused."""
     models = [model(worse=9.0, left=30.0), model(LAG, DELAY)]
-    found = decide(models, ALL, free=Compared(moved={LAG: 10.0, DELAY: moves}))
+    found = decided(models, ALL, free=Compared(moved={LAG: 10.0, DELAY: moves}))
     assert (DELAY in found.named) == named
     assert (LAG in found.named) != named
     assert found.near_misses[0].lacks == Reason.REPAIRS
-    apart = decide([models[0], model(BAND, GAIN)], ALL, free=Compared(moved={BAND: 10.0, GAIN: moves}))
+    apart = decided([models[0], model(BAND, GAIN)], ALL, free=Compared(moved={BAND: 10.0, GAIN: moves}))
     assert set(apart.named) == {BAND, GAIN}
 
 
@@ -369,15 +370,17 @@ def right(model: ModelFit) -> float:
 def test_where_formulas_are_right_the_likelihood_decides() -> None:
     """A disturbance leaves 8 floors whatever is named; 60 nats are for one effect."""
     models = [model(worse=4.0, left=9.0), model(DELAY, left=8.0), model(LAG, worse=3.0, left=8.0)]
-    assert decide(models, ALL, needed=right).named == (DELAY,)
-    assert decide(models, ALL).named == (), "9 floors are not divided by the price"
+    assert decided(models, ALL, discrepancy_gain=right).named == (DELAY,)
+    assert decided(models, ALL).named == (), "9 floors are not divided by the price"
 
 
 def test_the_discrepancy_is_learned_beside_each_alone() -> None:
     """The model without the effect predicts every block as well; shared variances favour the one they were learned with."""
     without, whole = model(worse=0.001, evidence=-80.0, left=10.0), model(BAND, evidence=0.0)
     for own, named in ((-5.0, True), (-2.0, False)):
-        found = decide([without, whole], ALL, needed=right, own_evidence=lambda f, own=own: own if not f.candidates else 0.0)  # type: ignore[misc]
+        found = decided(
+            [without, whole], ALL, discrepancy_gain=right, own_evidence=lambda f, own=own: own if not f.candidates else 0.0
+        )  # type: ignore[misc]
         assert (found.named == (BAND,)) == named, own
 
 
@@ -386,7 +389,7 @@ def test_what_the_discrepancy_could_do_in_its_place_is_in_the_interval(could: fl
     """Its value is 0.1 away from its absence, sure to 0.001 were there no discrepancy that does the same."""
     chosen = model(BAND)
     confounded = ModelFit(**{**vars(chosen), "confounded": np.full(len(chosen.unknowns), could)})
-    found = decide([NOTHING, confounded], ALL, integrates=False)
+    found = decided([NOTHING, confounded], ALL, integrates=False)
     assert (found.named == (BAND,)) == named
     if not named:
         assert found.near_misses[0].lacks is Reason.UNCERTAIN
@@ -396,7 +399,7 @@ def test_what_the_discrepancy_could_do_in_its_place_is_in_the_interval(could: fl
 def test_where_nothing_adds_up_effects_are_worth_the_price_of_one(without: float, named: bool) -> None:
     """They leave twice the floor, 2² − 1 above it; without them five times that is left, or less: 4² = 1 + 5·3."""
     nothing = model(worse=4.0, left=without - 0.05)
-    found = decide([nothing, model(BAND, left=2.0)], ALL, integrates=False)
+    found = decided([nothing, model(BAND, left=2.0)], ALL, integrates=False)
     assert (found.named == (BAND,)) == named
     if not named:
         assert found.near_misses[0].lacks == Reason.LITTLE
@@ -406,7 +409,7 @@ def test_without_what_is_certain_the_others_leave_more_than_a_tenth_more() -> No
     """A play takes 11 floors down to 2; a scale and an offset of its sensors, to 1.8, repair the form of the play."""
     one, two = model(BAND, LAG, worse=0.02, evidence=-20.0, left=1.92), model(BAND, GAIN, worse=0.02, evidence=-20.0, left=1.95)
     rest = model(LAG, GAIN, worse=4.0, left=10.0)
-    found = decide([model(worse=4.0, left=11.0), one, two, rest, model(BAND, LAG, GAIN, left=1.8)], ALL, integrates=False)
+    found = decided([model(worse=4.0, left=11.0), one, two, rest, model(BAND, LAG, GAIN, left=1.8)], ALL, integrates=False)
     assert found.named == (BAND,)
     assert {n.lacks for n in found.near_misses} == {Reason.LITTLE}
 
@@ -415,7 +418,7 @@ def test_without_what_is_certain_the_others_leave_more_than_a_tenth_more() -> No
 def test_the_set_that_is_preferred_is_worth_its_price_as_well(without: float, named: tuple[Candidate, ...]) -> None:
     """A dead time is worth it, and the lag is far likelier with ten floors left: 23² is five times 10²."""
     models = [model(worse=9.0, left=without), model(DELAY, left=6.0, evidence=0.0), model(LAG, left=10.3, evidence=90.0)]
-    assert decide(models, ALL, needed=lambda fit: 100.0).named == named
+    assert decided(models, ALL, discrepancy_gain=lambda fit: 100.0).named == named
 
 
 @pytest.mark.parametrize(
@@ -427,7 +430,7 @@ def test_what_is_named_is_worth_its_price_on_held_out_recordings(before: float, 
 
 
 def test_names_that_are_not_worth_their_price_become_near_misses() -> None:
-    found = decide([NOTHING, model(BAND), model(BAND, LAG)], ALL).without_names({BAND.label: "something"})
+    found = decided([NOTHING, model(BAND), model(BAND, LAG)], ALL).without_names({BAND.label: "something"})
     assert found.named == ()
     assert found.model.candidates == (BAND,)
     assert found.near_misses[0].lacks == "something"
@@ -436,7 +439,7 @@ def test_names_that_are_not_worth_their_price_become_near_misses() -> None:
 
 def test_what_the_recordings_do_not_excite_is_not_named() -> None:
     shown = tuple(label for label in ALL if label != BAND.label)
-    alone = decide([NOTHING, model(BAND)], shown)
+    alone = decided([NOTHING, model(BAND)], shown)
     assert alone.named == ()
     assert alone.model.candidates == (BAND,)
     assert alone.near_misses[0].lacks == Reason.NOT_EXCITED
@@ -446,14 +449,14 @@ def test_it_still_keeps_others_from_their_name() -> None:
     """A cause that the recordings cannot show well enough may be the reason: no name for what stands in its place."""
     shown = tuple(label for label in ALL if label != BAND.label)
     for better, worse in ((model(LAG), model(BAND, worse=0.02)), (model(BAND), model(LAG, worse=0.02))):
-        found = decide([NOTHING, better, worse], shown)
+        found = decided([NOTHING, better, worse], shown)
         assert found.named == ()
         assert found.tied == ((LAG, BAND),), "the excited effect comes first, whichever model has more evidence"
 
 
 def test_a_richer_form_is_no_other_effect() -> None:
     simple, rich = OFFERED["coulomb_friction(slide)"], OFFERED["coulomb_friction(slide) [positive, negative]"]
-    found = decide([NOTHING, model(simple, worse=0.02), model(rich)], ALL)
+    found = decided([NOTHING, model(simple, worse=0.02), model(rich)], ALL)
     assert found.named == (simple,)
     assert found.near_misses == ()
 

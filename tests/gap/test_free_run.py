@@ -77,10 +77,10 @@ def test_one_set_leaves_more_than_another_by_standard_errors_of_the_blocks() -> 
         free.proposals.warm([F], free.sets()[1]),
         free.proposals.warm([F, G], free.sets()[1]),
     )
-    assert free.further(none, both) > 4.0
-    assert free.further(both, none) == pytest.approx(-free.further(none, both))
-    assert free.further(one, one) == 0.0
-    assert free.moved(both, G) == pytest.approx(np.sqrt(one.left**2 - both.left**2))
+    assert free.excess(none, both) > 4.0
+    assert free.excess(both, none) == pytest.approx(-free.excess(none, both))
+    assert free.excess(one, one) == 0.0
+    assert free.change(both, G) == pytest.approx(np.sqrt(one.left**2 - both.left**2))
 
 
 def test_the_error_of_neighbouring_blocks_counts_together() -> None:
@@ -106,5 +106,5 @@ def test_an_effect_pays_where_it_acts() -> None:
     free = free_run_of(rows, timing_alone(rows, 0.0), (F, G, TWIN))
     one, nothing = free.proposals.fit((F,)), free.proposals.fit(())
     assert not pays(nothing.left, free.left(one))
-    assert pays(nothing.left, free.priced(one))
-    assert free.priced(nothing) == pytest.approx(free.left(nothing))
+    assert pays(nothing.left, free.left_where_acting(one))
+    assert free.left_where_acting(nothing) == pytest.approx(free.left(nothing))

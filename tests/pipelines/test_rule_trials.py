@@ -31,13 +31,14 @@ def test_every_condition_names_something_that_there_is(trial: str) -> None:
 
 
 def test_a_replacement_reaches_every_module_that_has_imported_the_name_and_ends() -> None:
-    before = comparison.at_bound, decision.at_bound, LeastSquares.priced, decision.LEAST
+    before = comparison.at_bound, decision.at_bound, LeastSquares.left_where_acting, decision.LEAST
     mine = (lambda *_: True, lambda *_: 0.0)
-    with replaced({"comparison.at_bound": mine[0], "free_run.LeastSquares.priced": mine[1], "thresholds.LEAST": 4.5}):
+    changes = {"comparison.at_bound": mine[0], "free_run.LeastSquares.left_where_acting": mine[1], "thresholds.LEAST": 4.5}
+    with replaced(changes):
         assert comparison.at_bound is decision.at_bound is mine[0]
-        assert LeastSquares.priced is mine[1]
+        assert LeastSquares.left_where_acting is mine[1]
         assert decision.LEAST == thresholds.LEAST == comparison.LEAST == 4.5
-    assert (comparison.at_bound, decision.at_bound, LeastSquares.priced, decision.LEAST) == before
+    assert (comparison.at_bound, decision.at_bound, LeastSquares.left_where_acting, decision.LEAST) == before
 
 
 def test_every_number_with_a_name_is_a_trial_where_a_decision_may_read_it() -> None:

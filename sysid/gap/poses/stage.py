@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate
-from sysid.gap.decision import Decision, decide
+from sysid.gap.decision import Decision, FreeRun, decide
 from sysid.gap.fit import place
 from sysid.gap.likelihood.block_products import block_products, predictive_densities
 from sysid.gap.likelihood.explained import Explained
@@ -273,56 +273,84 @@ class _Fitting:
         )
 
 
-def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence[str]) -> StageFit:
-    regression = search.regression
-    bare = replace(regression, errors=np.empty((len(regression.target), 0)), kind=np.empty(0, dtype=np.int64))
-    model_of = cache(partial(fitting.model_of, search))
+@dataclass(frozen=True, eq=False)
+class _Sets:
+    """Sets of effects as models that the rule compares (:class:`sysid.gap.decision.Compared`)."""
 
-    def members_of(model: ModelFit) -> Set:
-        labels = model.labels
-        return frozenset(k for k, c in enumerate(search.candidates) if c.label in labels)
+    fitting: _Fitting
+    search: SetSearch
+    nameable: Sequence[str]
+    sets: dict[Set, None]
+    integrates: bool = False
+    independent: bool = True
+    free: FreeRun = field(default_factory=FreeRun)
 
-    @cache
-    def needed(model: ModelFit) -> float:
+    @cached_property
+    def model_of(self) -> Callable[[Set], ModelFit]:
+        return cache(partial(self.fitting.model_of, self.search))
+
+    @property
+    def models(self) -> Sequence[ModelFit]:
+        return [self.model_of(s) for s in self.sets]
+
+    @property
+    def frame(self) -> frozenset[str]:
+        return frozenset(self.search.candidates[k].label for k in self.fitting.base)
+
+    def members_of(self, model: ModelFit) -> Set:
+        return frozenset(k for k, c in enumerate(self.search.candidates) if c.label in model.labels)
+
+    def own_evidence(self, model: ModelFit) -> float:
+        return model.evidence
+
+    def discrepancy_gain(self, model: ModelFit) -> float:
         """Gain in evidence by the errors of the arm, with the noise that is most likely without them.
 
         Poses that scatter by more than their noise can are wrong by something else, whether these errors describe it or not.
         """
+        regression = self.search.regression
         if regression.sizes.noise > np.exp(2.0 * NOISE_SPREAD):
             return float(np.inf)
-        at = search.unknowns(members_of(model))
-        alone = replace(bare, sizes=Sizes(np.empty(0), regression.sizes.noise))
+        members = self.members_of(model)
+        at, rows = self.search.unknowns(members), len(regression.target)
+        alone = replace(
+            regression,
+            errors=np.empty((rows, 0)),
+            kind=np.empty(0, dtype=np.int64),
+            sizes=Sizes(np.empty(0), regression.sizes.noise),
+        )
         alone = alone.under(alone.with_sizes(at))
-        return search.posterior(members_of(model)).evidence - alone.posterior(at).evidence
+        return self.search.posterior(members).evidence - alone.posterior(at).evidence
 
-    def without(model: ModelFit, candidate: Candidate) -> ModelFit:
-        return model_of(frozenset(k for k in members_of(model) if search.candidates[k].label != candidate.label))
+    def without(self, model: ModelFit, candidate: Candidate) -> ModelFit:
+        return self.model_of(frozenset(k for k in self.members_of(model) if self.search.candidates[k].label != candidate.label))
 
+    def fewest(self, model: ModelFit) -> Sequence[ModelFit] | None:
+        return None
+
+
+def _decided(fitting: _Fitting, search: SetSearch, best: Set, nameable: Sequence[str]) -> StageFit:
     # A larger set that is clearly less likely cannot be preferred: its further effect is not a near miss.
     richer = [s for s in search.larger(best) if search.evidence(s) > search.evidence(best) - LEAST]
     near = sorted((*search.exchanged(best), *richer), key=search.evidence, reverse=True)
     near = [s for s in near if np.isfinite(search.evidence(s))][:NEIGHBOURS]
     sets = dict.fromkeys((best, *search.smaller(best), *near, fitting.base, frozenset()))
-    first = frozenset(search.candidates[k].label for k in fitting.base)
-
-    def decided() -> Decision:
-        models = [model_of(s) for s in sets]
-        return decide(models, nameable, needed=needed, integrates=False, without=without, independent=True, first=first)
-
-    decision = decided()
+    compared = _Sets(fitting, search, nameable, sets)
+    model_of, members_of = compared.model_of, compared.members_of
+    decision = decide(compared)
     for _ in range(4):
         more = [s for f in (decision.model, *decision.acceptable) for s in search.smaller(members_of(f)) if s not in sets]
         if not more:
             break
-        sets |= dict.fromkeys(more)
-        decision = decided()
+        sets.update(dict.fromkeys(more))
+        decision = decide(compared)
     decision = _with_confounded(decision, search, members_of(decision.model))
     chosen = decision.model
     return StageFit(
         tuple(sorted((model_of(s) for s in sets), key=lambda f: -f.evidence)),
         decision,
-        {c.label: without(chosen, c) for c in chosen.candidates},
-        Explained(chosen.left, float(regression.sizes.noise), {}),
+        {c.label: compared.without(chosen, c) for c in chosen.candidates},
+        Explained(chosen.left, float(search.regression.sizes.noise), {}),
         chosen,
         combinations=tuple(search.undetermined()),
         framed=model_of(fitting.base),

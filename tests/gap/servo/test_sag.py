@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from compared_models import decided
 from sagging_servo import AXES, DELAY, LAG, NOISE, Servos, machine_files, recording
 
 from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Candidate, Scales, candidates_at
-from sysid.gap.decision import decide
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import drive_problem
 from sysid.gap.reasons import Reason
@@ -161,11 +161,11 @@ def test_near_the_noise_floor_the_floor_counts() -> None:
 def test_sag_ties_with_a_bias_that_explains_as_much(bias: float, tied: bool) -> None:
     left = {**LEFT, frozenset({"second_order_lag", "input_delay", "sensor_bias"}): bias}
     refit = refit_of(left)
-    found = decide(
+    found = decided(
         [model((), NOTHING), WHOLE],
         [c.label for c in OFFERED],
         integrates=False,
-        without=lambda f, c: refit([d for d in f.candidates if d is not c], f),
+        smaller=lambda f, c: refit([d for d in f.candidates if d is not c], f),
         fewest=lambda f: fewest_sets(f, OFFERED, refit),
     )
     assert names(found.model) == {"second_order_lag", "input_delay", "joint_compliance"}
@@ -181,11 +181,11 @@ def test_the_effects_that_are_worth_their_price_are_named() -> None:
         frozenset({"second_order_lag", "joint_compliance"}): 45.0,
     }
     refit = refit_of(left)
-    found = decide(
+    found = decided(
         [model((), NOTHING), model((SECOND_LAG, DEAD_TIME, SAG), 40.0)],
         [c.label for c in OFFERED],
         integrates=False,
-        without=lambda f, c: refit([d for d in f.candidates if d is not c], f),
+        smaller=lambda f, c: refit([d for d in f.candidates if d is not c], f),
         fewest=lambda f: fewest_sets(f, OFFERED, refit),
     )
     assert set(found.named) == {SECOND_LAG, SAG}
