@@ -7,7 +7,6 @@ import math
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _T = ("translation_x", "translation_y", "translation_z")
-_TURN = (-math.pi, math.pi)
 _R = ("rotation_x", "rotation_y", "rotation_z")
 
 EFFECT = Effect(

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.effects import inertial_error
-from sysid.gap.arm.forces import CONSTANT, FRICTION, without
+from sysid.gap.arm.forces import CONSTANT, FRICTION, fitted, without
 from sysid.gap.arm.rows import (
     FORCE_CONSTANT,
     ROTOR,
@@ -302,8 +302,7 @@ class _Whole:
             theta[first] += rotor * (stated or 0.0) * theta[block + AT.inertia_error]
             if stated is None:
                 left = axis.target - axis.links @ whole - scale * axis.carried
-                size = np.maximum(np.linalg.norm(axis.friction, axis=0), 1e-12)
-                theta[first] += (np.linalg.lstsq(axis.friction / size, left, rcond=1e-9)[0] / size)[-1]
+                theta[first] += fitted(axis.friction, left)[0][-1]
         return theta
 
     def needed(self, members: Set) -> float:

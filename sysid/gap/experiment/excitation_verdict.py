@@ -51,13 +51,6 @@ class ExcitationVerdict:
     text: str
     record: str = ""
 
-    @property
-    def excitation(self) -> Excitation | None:
-        """The same as an item of ``GapResult.excitation``."""
-        if self.have is None or self.need is None:
-            return None
-        return Excitation(self.name, self.target, self.status == "ready", self.have, self.need, self.unit)
-
 
 @dataclass(frozen=True)
 class RecordingRequest:

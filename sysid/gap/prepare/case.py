@@ -15,10 +15,8 @@ from sysid.effects import (
     armature_error,
     coulomb_friction,
     damping_error,
-    flexible_drive,
     inertia_error,
     link_mass_error,
-    oil_compressibility,
 )
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
@@ -155,7 +153,8 @@ def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:
     for each in problems:
         split = stage_split(case, each)
         problem, resonance = _with_resonance(case, each, split)
-        oscillation = _oscillation(case, problem, split)
+        moves_by_speed = problem.integrates and case.adapter is None
+        oscillation = speed_resonance(problem, split.seen, case.theta) if moves_by_speed else None
         found.append(Stage(problem, split, np.zeros(0), case.theta, resonance=resonance, oscillation=oscillation))
         parts.append((problem, case.theta if resonance is None else _with_spring(case, problem.target, resonance), split.fit))
     floors = problem_floors(parts, case.noise, case.seed)
@@ -183,17 +182,9 @@ def _with_spring(case: Case, axis: str, resonance: DriveResonance) -> Array:
     """The vector of the plant with a flexible drive: near its antiresonance, noise of the motion causes most of the noise."""
     theta = case.theta.copy()
     for name, value in resonance.parameters.items():
-        (places,) = parameter_indices(case.plant.machine.axis_names, flexible_drive.EFFECT.name, axis, None, name)
+        (places,) = parameter_indices(case.plant.machine.axis_names, resonance.effect, axis, None, name)
         theta[places] = value
     return theta
-
-
-def _oscillation(case: Case, problem: Problem, split: Split) -> SpeedResonance | None:
-    """The resonance of a speed-commanded axis above the start values of its effect, which reach the lower ones."""
-    if not problem.integrates or case.adapter is not None:
-        return None
-    frequency = oil_compressibility.EFFECT.forms[0].parameters[0]
-    return speed_resonance(problem, split.seen, case.theta, max(frequency.starts))
 
 
 def stage_split(case: Case, problem: Problem) -> Split:
@@ -328,11 +319,10 @@ def _typical_force(stage: Stage) -> float:
 def _responses(plant: Plant, stage: Stage) -> dict[tuple[str, str], Mapping[str, float]]:
     """Start values of drives with a spring: those that the response shows, else those of the plant."""
     axis = stage.problem.target
-    if stage.oscillation is not None:
-        return {(oil_compressibility.EFFECT.name, axis): stage.oscillation.parameters}
-    if stage.resonance is not None:
-        return {(flexible_drive.EFFECT.name, axis): stage.resonance.parameters}
-    known = plant.effect(flexible_drive.EFFECT.name, axis) if axis in plant.machine.axis_names else None
+    shown = stage.oscillation or stage.resonance
+    if shown is not None:
+        return {(shown.effect, axis): shown.parameters}
+    known = plant.effect(DriveResonance.effect, axis) if axis in plant.machine.axis_names else None
     if known is None:
         return {}
     return {(known.name, axis): {k: float(v) for k, v in known.parameters.items() if isinstance(v, float | int)}}
