@@ -21,11 +21,11 @@ from sysid.effects import (
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
+from sysid.gap.arm.pose_folds import shown_by_poses
 from sysid.gap.candidates import Candidate, Scales, candidates_at, without_aliases, without_servo_aliases
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
-from sysid.gap.poses.folds import shown_by_poses
 from sysid.gap.prepare.clocks import with_order
 from sysid.gap.prepare.drives import DriveResonance, SpeedResonance, drive_delay, drive_resonance, speed_resonance
 from sysid.gap.prepare.measured_input import with_measured_input
