@@ -23,6 +23,7 @@ EFFECT = Effect(
     confused_with={"viscous_friction": "armature acts with the acceleration, viscous friction with the speed"},
     need=Need("command_changes", 6, "Record {axis} with steps of several sizes, 20 s."),
     actuations=("servo",),
+    ratio_of="inertia",
 )
 
 

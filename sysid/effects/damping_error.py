@@ -24,6 +24,7 @@ EFFECT = Effect(
     },
     need=Need("command_changes", 6, "Record {axis} with steps of several sizes, 20 s."),
     actuations=("servo",),
+    ratio_of="damping",
     exempt=("memoryless",),
 )
 

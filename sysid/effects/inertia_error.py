@@ -22,4 +22,5 @@ EFFECT = Effect(
     confused_with={"viscous_friction": "inertia is a force in phase with the acceleration, viscous friction with the speed"},
     need=Need("force_changes", 6, "Record {axis} with fast starts and stops, 20 s."),
     actuations=("force",),
+    ratio_of="inertia",
 )

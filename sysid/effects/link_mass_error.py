@@ -19,5 +19,6 @@ EFFECT = Effect(
     confused_with={"load_bias": "the torque of a mass changes with the posture, a constant load does not"},
     need=Need("any_motion", 5, "Record {axis} and the joints before it over their ranges, 30 s."),
     actuations=("force", "servo"),
+    ratio_of="mass",
     of_links=True,
 )

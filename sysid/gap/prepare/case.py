@@ -11,13 +11,7 @@ import pandas as pd
 
 from sysid.datasets.checks.roles import check_needs, is_pose_set
 from sysid.datasets.recording import Dataset, Recording
-from sysid.effects import (
-    armature_error,
-    coulomb_friction,
-    damping_error,
-    inertia_error,
-    link_mass_error,
-)
+from sysid.effects import coulomb_friction
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
@@ -268,19 +262,18 @@ def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: S
     An effect that the adjusted parameters of links contain is compared without links only. A link whose weight does not load
     the joint of a servo acts on it as the rotor does.
     """
-    if candidate.target in problem.carried and candidate.effect is link_mass_error.EFFECT:
-        rotates_alone = candidate.target == problem.target and not scales.loads.get(candidate.target)
-        return not (rotates_alone and plant.machine.axis(candidate.target).inertia)
-    if (candidate.effect.of_links, candidate.effect.in_links)[moves_masses(plant.machine)]:
+    effect, target = candidate.effect, candidate.target
+    if effect.ratio_of == "mass" and target in problem.carried:
+        rotates_alone = target == problem.target and not scales.loads.get(target)
+        return not (rotates_alone and plant.machine.axis(target).inertia)
+    if (effect.of_links, effect.in_links)[moves_masses(plant.machine)]:
         return False
-    if candidate.effect is link_mass_error.EFFECT:
-        return bool(scales.loads.get(candidate.target))
-    if candidate.effect is damping_error.EFFECT:
-        servo = plant.machine.axis(candidate.target).servo
+    if effect.ratio_of == "mass":
+        return bool(scales.loads.get(target))
+    if effect.ratio_of == "damping":
+        servo = plant.machine.axis(target).servo
         return servo is not None and servo.kv > 0.0
-    if candidate.effect in (inertia_error.EFFECT, armature_error.EFFECT):
-        return bool(plant.machine.axis(candidate.target).inertia)
-    return True
+    return effect.ratio_of != "inertia" or bool(plant.machine.axis(target).inertia)
 
 
 def _scales_of(plant: Plant, stage: Stage) -> Scales:
