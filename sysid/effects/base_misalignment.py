@@ -1,7 +1,5 @@
 """``base_misalignment``: the frame of the position measurement differs from its surveyed position."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot

@@ -143,13 +143,13 @@ class Effect:
     sentences: tuple[str, ...]
     part: Part
     stage: Stage
-    target: TargetKind
     slots: tuple[Slot, ...]
     forms: tuple[Form, ...]
     equation: str
     source: str
     excited_by: str
     need: Need
+    target: TargetKind = "axis"
     titles: Mapping[Actuation | Drive, str] = field(default_factory=dict, hash=False)
     sentences_by: Mapping[Actuation | Drive, tuple[str, ...]] = field(default_factory=dict, hash=False)
     beside: Mapping[str, str] = field(default_factory=dict, hash=False)

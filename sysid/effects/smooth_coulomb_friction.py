@@ -1,7 +1,5 @@
 """``smooth_coulomb_friction``: dry friction whose sign changes gradually with the speed."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects.compiled import inlined
@@ -19,7 +17,6 @@ EFFECT = Effect(
     ),
     part="cylinder",
     stage="force",
-    target="axis",
     slots=(Slot("force"), Slot("width", 0.05), Slot("exponent")),
     forms=(
         Form((_FORCE, _WIDTH)),

@@ -71,10 +71,7 @@ def is_force_driven(machine: Machine) -> bool:
 
 
 def open_force_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> Plant:
-    """The plant of a model whose axes are all driven by forces, for the recordings of a dataset.
-
-    Args:
-        assets: further folders below which the model may open files.
+    """The plant of a model whose axes are all driven by forces; arguments as of :func:`sysid.gap.adapters.mujoco.open_model`.
 
     Raises:
         InputError: not a file that MuJoCo compiles, or it needs other forces than the plant (springs, contacts).
@@ -156,9 +153,8 @@ def write_force_model(
     recordings hardly determine is integrated.
 
     Args:
-        tested: the plant of the model (:func:`open_force_model`).
+        tested: of :func:`open_force_model`.
         promised: error of the forces at measured motion on held-out recordings, of the repaired plant.
-        assets: further folders below which the model may open files.
 
     Raises:
         InputError: MuJoCo refuses the written model, or its error with the values of the result is larger than promised.

@@ -63,9 +63,6 @@ def has_servos(machine: Machine) -> bool:
 def open_servo_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> Plant | str:
     """The plant of a model whose axes are all servos, with the effects in the file beside it; else why it cannot stand for it.
 
-    Args:
-        assets: further folders below which the model may open files.
-
     Raises:
         InputError: not a file that MuJoCo compiles, or it is unstable.
         SettingsError: its axes are not those of the dataset.
@@ -100,9 +97,7 @@ def write_servo_model(
 ) -> RepairedModel:
     """Write the effects of a result into a copy of ``model``, load it again and measure its gap with MuJoCo.
 
-    Args:
-        tested: the plant of the model (:func:`open_servo_model`).
-        assets: further folders below which the model may open files.
+    ``tested``: of :func:`open_servo_model`.
 
     Raises:
         InputError: MuJoCo refuses the written model, or its error is larger than that of the repaired plant.
