@@ -31,7 +31,7 @@ from sysid.datasets import Dataset, Recording
 from sysid.datasets.robot_files import Choices, drafted_files
 from sysid.errors import SettingsError
 from sysid.gap import find_gap
-from sysid.gap.adapters.mujoco.model import open_model, write_model
+from sysid.gap.adapters.mujoco import open_model, write_model
 from sysid.machine import Machine, machine_from_files
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -35,7 +35,7 @@ def open_simulator(
 ) -> Simulator | Plant:
     """The simulator of a Python file or of an MJCF, for a dataset.
 
-    Of an MJCF, that of :func:`sysid.gap.adapters.mujoco.model.open_model`.
+    Of an MJCF, that of :func:`sysid.gap.adapters.mujoco.open_model`.
 
     Args:
         assets: further folders below which an MJCF may open files.
@@ -47,7 +47,7 @@ def open_simulator(
     """
     if not place.startswith(MUJOCO):
         return load_simulator(place)
-    from sysid.gap.adapters.mujoco.model import open_model
+    from sysid.gap.adapters.mujoco import open_model
 
     return open_model(Path(place.removeprefix(MUJOCO)), dataset, assets, tell)
 
@@ -118,10 +118,10 @@ def write_model(
     Raises:
         InputError: the written model does not do what the repaired simulation does.
     """
-    from sysid.gap.adapters.mujoco import model as mujoco_model
+    from sysid.gap.adapters.mujoco import write_model
     from sysid.plant.plant import effect_key
 
-    repaired = mujoco_model.write_model(model, tested, result, path, dataset, assets)
+    repaired = write_model(model, tested, result, path, dataset, assets)
     out.line(f"Repaired model: {repaired.path}")
     for change in repaired.native:
         out.line(f"    {change.effect.name} of {change.effect.target}: {change.where}")

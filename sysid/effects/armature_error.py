@@ -1,7 +1,5 @@
 """``armature_error``: the rotor of a servo, as its joint feels it, has another inertia than the simulation assumes."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -14,7 +12,6 @@ EFFECT = Effect(
     sentences=("The armature of the {target} is {ratio} times what the simulation assumes.",),
     part="joint",
     stage="force",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.0, MOST), (0.5, 2.0, 5.0), 0.01, "true armature / described armature"),)),),
     equation="(M(q) + ratio·armature)·q̈ + … = force",
@@ -23,6 +20,7 @@ EFFECT = Effect(
     confused_with={"viscous_friction": "armature acts with the acceleration, viscous friction with the speed"},
     need=Need("command_changes", 6, "Record {axis} with steps of several sizes, 20 s."),
     actuations=("servo",),
+    ratio_of="inertia",
 )
 
 

@@ -1,7 +1,5 @@
 """``asymmetric_gain``: a differential cylinder runs faster where the oil fills the rod side."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -11,7 +9,6 @@ EFFECT = Effect(
     sentences=("The {target} moves {ratio} times as fast in the negative direction as in the positive one.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.2, 5.0), (0.7, 1.4), 0.01, "speed at −1 / speed at +1, magnitudes"),)),),
     equation="v = ratio·x for x < 0, x otherwise",

@@ -3,8 +3,6 @@
 Behind a servo both sides have masses: see :func:`sysid.plant.servo_axis.advance`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sysid.effects.compiled import inlined
@@ -21,7 +19,6 @@ EFFECT = Effect(
     },
     part="joint",
     stage="joint",
-    target="axis",
     slots=(Slot("width"),),
     forms=(Form((Parameter("width", "joint", (0.0, 0.1), (0.002, 0.01, 0.03), 2e-4, "full width of the backlash"),)),),
     equation="y = min(max(y, x − width/2), x + width/2); behind a servo, masses move by themselves between the flanks",

@@ -1,13 +1,10 @@
 """``base_misalignment``: the frame of the position measurement differs from its surveyed position."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _T = ("translation_x", "translation_y", "translation_z")
-_TURN = (-math.pi, math.pi)
 _R = ("rotation_x", "rotation_y", "rotation_z")
 
 EFFECT = Effect(

@@ -1,7 +1,5 @@
 """``clock_offset``: constant error of the time stamps of a stream."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 

@@ -1,7 +1,5 @@
 """``clock_skew``: rate error of the clock of a stream."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 

@@ -1,7 +1,5 @@
 """``command_rate_limit``: ramp in the valve driver or the joystick electronics."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -23,7 +21,6 @@ EFFECT = Effect(
     sentences_by={"position": ("The servo of the {target} moves at {rate} at most.",)},
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("rate", ABSENT),),
     forms=(Form((Parameter("rate", "command/s", (0.05, ABSENT), _STARTS, 0.02, "largest change of the command"),)),),
     equation="|dy/dt| ≤ rate",

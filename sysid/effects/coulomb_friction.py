@@ -1,7 +1,5 @@
 """``coulomb_friction``: constant force against the motion, which holds the axis at rest below break-away."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -16,7 +14,6 @@ EFFECT = Effect(
     ),
     part="cylinder",
     stage="force",
-    target="axis",
     slots=(Slot("positive"), Slot("negative")),
     forms=(
         Form(

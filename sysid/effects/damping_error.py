@@ -1,7 +1,5 @@
 """``damping_error``: the controller of a servo brakes the speed by another gain than the simulation assumes."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -11,7 +9,6 @@ EFFECT = Effect(
     sentences=("The servo of the {target} damps its speed {ratio} times as much as described.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.0, 20.0), (0.7, 1.4), 0.01, "true kv / described kv"),)),),
     equation="force = clip(kp·(command − q) − ratio·kv·q̇)",
@@ -24,6 +21,7 @@ EFFECT = Effect(
     },
     need=Need("command_changes", 6, "Record {axis} with steps of several sizes, 20 s."),
     actuations=("servo",),
+    ratio_of="damping",
     exempt=("memoryless",),
 )
 

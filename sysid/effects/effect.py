@@ -132,6 +132,7 @@ class Effect:
         described_only: it is tested only where the machine description contains it, with any value: other effects do the same
             where it is known to be absent.
         of_links: it acts by the torque of links with masses; without them it is absent, and an axis of an arm has no free run.
+        ratio_of: what of the axis it is a ratio of; it is compared where the machine has that (mass: where it loads the axis).
         in_links: on an arm, the adjusted inertial parameters of its links contain it: it is compared on other axes.
         surrogate_test: value at which the effect, as an input effect, tests a surrogate model; the effects with one make up
             the surrogate.
@@ -142,13 +143,13 @@ class Effect:
     sentences: tuple[str, ...]
     part: Part
     stage: Stage
-    target: TargetKind
     slots: tuple[Slot, ...]
     forms: tuple[Form, ...]
     equation: str
     source: str
     excited_by: str
     need: Need
+    target: TargetKind = "axis"
     titles: Mapping[Actuation | Drive, str] = field(default_factory=dict, hash=False)
     sentences_by: Mapping[Actuation | Drive, tuple[str, ...]] = field(default_factory=dict, hash=False)
     beside: Mapping[str, str] = field(default_factory=dict, hash=False)
@@ -165,6 +166,7 @@ class Effect:
     fitted: bool = True
     described_only: bool = False
     of_links: bool = False
+    ratio_of: Literal["", "inertia", "damping", "mass"] = ""
     in_links: bool = False
     surrogate_test: float | None = None
 

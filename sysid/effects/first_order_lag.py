@@ -1,7 +1,5 @@
 """``first_order_lag``: spool and pilot stage follow the command with a time constant."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -19,7 +17,6 @@ EFFECT = Effect(
     sentences=("The {target} follows its command with a lag of {time_constant}.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("time_constant"),),
     forms=(Form((Parameter("time_constant", "s", (0.0, 2.0), (0.03, 0.1, 0.3), 0.005, "time constant"),)),),
     equation="T·ẋ = u − x, exact for a command held over the step",

@@ -1,7 +1,5 @@
 """``flexible_drive``: a spring and a damper between motor and load, which oscillate against each other."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,7 +27,6 @@ EFFECT = Effect(
     ),
     part="cylinder",
     stage="force",
-    target="axis",
     slots=(Slot("frequency", ABSENT), Slot("damping_ratio", 0.05), Slot("inertia_ratio")),
     forms=(
         Form(

@@ -1,7 +1,5 @@
 """``flow_saturation``: beyond some command the spool is fully open (or the pump at its limit) and the speed is constant."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -15,7 +13,6 @@ EFFECT = Effect(
     sentences=("The {target} gets no faster beyond a command of {limit}.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("limit", ABSENT),),
     forms=(
         Form((Parameter("limit", "1", (0.02, ABSENT), (0.2, 0.4, 0.6, 0.8, 0.9, 0.96), 0.01, "speed is constant above it"),)),

@@ -4,8 +4,6 @@ The torque constant of a motor, the gain of its amplifier or the ratio of its ge
 parameters of its links contain that ratio.
 """
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -15,7 +13,6 @@ EFFECT = Effect(
     sentences=("The {target} makes {ratio} times the commanded force.",),
     part="cylinder",
     stage="force",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.05, 20.0), (0.7, 1.4), 0.01, "true force / commanded force"),)),),
     equation="force = ratio · command",

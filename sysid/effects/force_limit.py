@@ -1,7 +1,5 @@
 """``force_limit``: the controller of a servo makes no larger force."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -16,7 +14,6 @@ EFFECT = Effect(
     sentences=("The servo of the {target} makes a force of {limit} at most.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("limit", ABSENT),),
     forms=(Form((Parameter("limit", "N or N·m", (1e-6, ABSENT), STARTS, 0.01, "largest magnitude", scale="force"),)),),
     equation="force = clip(kp·(command − q) − kv·q̇, −limit, limit)",

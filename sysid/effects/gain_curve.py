@@ -1,7 +1,5 @@
 """``gain_curve``: the metering edge opens progressively; speed grows with a power of the command."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects.compiled import inlined
@@ -14,7 +12,6 @@ EFFECT = Effect(
     sentences=("The speed of the {target} follows its command to the power of {exponent}.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("exponent", 1.0),),
     forms=(Form((Parameter("exponent", "1", (0.3, 5.0), (0.7, 1.5, 2.5), 0.02, "power of the command"),)),),
     equation="y = sign(u)·|u|^exponent",

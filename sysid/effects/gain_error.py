@@ -1,7 +1,5 @@
 """``gain_error``: the axis is faster or slower than its nominal gain."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -14,7 +12,6 @@ EFFECT = Effect(
     },
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.05, 20.0), (0.7, 1.3, 2.0), 0.01, "true gain / nominal gain"),)),),
     equation="v = ratio · gain · x",

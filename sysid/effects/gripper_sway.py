@@ -1,7 +1,5 @@
 """``gripper_sway``: the tool hangs on two passive joints and swings as a damped pendulum below the tip."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``inertia_error``: the moving mass or inertia differs from the nominal one."""
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 #: Largest ratio: a rotor that is described at the motor lacks the square of the gear ratio, up to a hundred.
@@ -13,7 +11,6 @@ EFFECT = Effect(
     sentences=("The inertia of the {target} is {ratio} times what the simulation assumes.",),
     part="joint",
     stage="force",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.05, MOST), (0.7, 1.4), 0.01, "true inertia / nominal inertia"),)),),
     equation="M = ratio · inertia",
@@ -22,4 +19,5 @@ EFFECT = Effect(
     confused_with={"viscous_friction": "inertia is a force in phase with the acceleration, viscous friction with the speed"},
     need=Need("force_changes", 6, "Record {axis} with fast starts and stops, 20 s."),
     actuations=("force",),
+    ratio_of="inertia",
 )

@@ -5,8 +5,6 @@ little by itself; together they give the torques. A wrong constant between curre
 what the links load that axis with.
 """
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _ANY = (-1e6, 1e6)
@@ -18,7 +16,6 @@ EFFECT = Effect(
     sentences=("The inertial parameters of the link that {target} moves differ from the URDF.",),
     part="link",
     stage="links",
-    target="axis",
     slots=(
         Slot("mass"),
         *(Slot(f"h{axis}") for axis in "xyz"),

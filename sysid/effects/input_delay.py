@@ -1,7 +1,5 @@
 """``input_delay``: the command acts after a constant time (bus, valve electronics, oil column)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -23,7 +21,6 @@ EFFECT = Effect(
     sentences=("The {target} starts to react only {delay} after the command.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("delay"),),
     forms=(Form((Parameter("delay", "s", (0.0, LONGEST), (0.02, 0.06, 0.15, 0.3), 0.005, "dead time"),)),),
     equation="y(t) = u(t − delay), linear between samples",

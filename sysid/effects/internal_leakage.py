@@ -1,7 +1,5 @@
 """``internal_leakage``: oil leaks past piston and spool; the axis creeps with the valve closed."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -13,7 +11,6 @@ EFFECT = Effect(
     sentences_by={"unknown": ("At zero command the {target} creeps at {rate}.",)},
     part="cylinder",
     stage="command",
-    target="axis",
     slots=(Slot("rate"),),
     forms=(Form((Parameter("rate", "drive/s", (-0.05, 0.05), (-3e-4, 3e-4), 3e-6, "speed lost, at any command"),)),),
     equation="v = speed − rate",

@@ -1,7 +1,5 @@
 """``joint_compliance``: structure and oil deflect under the weight of the arm (sag)."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -11,7 +9,6 @@ EFFECT = Effect(
     sentences=("The {target} deflects under the gravity moment that it carries ({compliance}).",),
     part="joint",
     stage="joint",
-    target="axis",
     slots=(Slot("compliance"),),
     forms=(
         Form(

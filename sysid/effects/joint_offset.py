@@ -1,7 +1,5 @@
 """``joint_offset``: the zero of a joint sensor differs from that of the model."""
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
@@ -10,7 +8,6 @@ EFFECT = Effect(
     sentences=("The zero of the {target} joint is off by {offset}.",),
     part="joint",
     stage="end_effector",
-    target="axis",
     slots=(Slot("offset"),),
     forms=(Form((Parameter("offset", "joint", (-0.5, 0.5), (-0.02, 0.02), 2e-4, "true joint − measured joint"),)),),
     equation="q_true = q_measured + offset",

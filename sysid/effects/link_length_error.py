@@ -1,7 +1,5 @@
 """``link_length_error``: a link is longer or shorter than in the URDF."""
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
@@ -10,7 +8,6 @@ EFFECT = Effect(
     sentences=("The link moved by the {target} is {error} longer than described.",),
     part="link",
     stage="end_effector",
-    target="axis",
     slots=(Slot("error"),),
     forms=(Form((Parameter("error", "m", (-0.5, 0.5), (-0.02, 0.02), 5e-4, "true length − URDF length"),)),),
     equation="the link that the axis moves is longer by error along the line to the next joint (or the tip)",

@@ -1,7 +1,5 @@
 """``link_mass_error``: a link is heavier or lighter than in the URDF, by more than the masses of the others are off."""
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
@@ -10,7 +8,6 @@ EFFECT = Effect(
     sentences=("The link that {target} moves has {ratio} times the mass in the URDF.",),
     part="link",
     stage="links",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.05, 20.0), (0.7, 1.4), 0.01, "true mass / mass in the URDF"),)),),
     equation="(m, m·c, I) = ratio · (m, m·c, I) of the URDF",
@@ -19,5 +16,6 @@ EFFECT = Effect(
     confused_with={"load_bias": "the torque of a mass changes with the posture, a constant load does not"},
     need=Need("any_motion", 5, "Record {axis} and the joints before it over their ranges, 30 s."),
     actuations=("force", "servo"),
+    ratio_of="mass",
     of_links=True,
 )

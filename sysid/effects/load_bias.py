@@ -1,7 +1,5 @@
 """``load_bias``: constant load on a force-actuated axis (gravity, offset of the force measurement)."""
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(
@@ -10,7 +8,6 @@ EFFECT = Effect(
     sentences=("A constant load of {force} acts on the {target}.",),
     part="joint",
     stage="force",
-    target="axis",
     slots=(Slot("force"),),
     forms=(
         Form(

@@ -1,7 +1,5 @@
 """``load_dependent_flow``: the load reduces the pressure drop at the valve, so that lifting is slower than lowering."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -12,7 +10,6 @@ EFFECT = Effect(
     sentences=("The load changes the speed of the {target}: slower against it, faster with it ({coefficient}).",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("coefficient"),),
     forms=(
         Form(

@@ -6,8 +6,6 @@ friction is ½(c₁ + c₂)·|load|·sign(v) + ½(c₁ − c₂)·load: the firs
 error of the torque constant or of all masses (``scale`` of :mod:`sysid.effects.inertial_error`).
 """
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects import smooth_coulomb_friction
@@ -20,7 +18,6 @@ EFFECT = Effect(
     sentences=("Dry friction of {coefficient} times the torque of the links acts against the motion of the {target}.",),
     part="joint",
     stage="force",
-    target="axis",
     slots=(Slot("coefficient"),),
     forms=(
         Form(

@@ -1,7 +1,5 @@
 """``oil_compressibility``: the oil column is a spring; the speed responds to the valve as a second-order system."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -22,7 +20,6 @@ EFFECT = Effect(
     sentences_by={"unknown": ("The {target} oscillates at {frequency} on the compliance of its drive.",)},
     part="cylinder",
     stage="command",
-    target="axis",
     slots=(Slot("frequency", ABSENT), Slot("damping_ratio", 0.1)),
     forms=(
         Form(

@@ -1,7 +1,5 @@
 """Free motion of a damped oscillator ẍ + 2ζω·ẋ + ω²·x = 0 over one step, exact; compiled."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects.compiled import inlined

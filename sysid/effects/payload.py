@@ -1,7 +1,5 @@
 """``payload``: a mass at the tip that the URDF does not contain."""
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 EFFECT = Effect(

@@ -1,7 +1,5 @@
 """``pump_flow_limit``: several axes demand more flow than the pump delivers, and all slow down by one factor."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 

@@ -1,7 +1,5 @@
 """``second_order_lag``: the control loop of a servo against the inertia of its load, with overshoot or without."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sysid.effects.compiled import inlined
@@ -23,7 +21,6 @@ EFFECT = Effect(
     ),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("time_constant"), Slot("damping_ratio", 0.7)),
     forms=(
         Form(

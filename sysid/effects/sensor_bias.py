@@ -1,7 +1,5 @@
 """``sensor_bias``: constant error of a sensor."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 

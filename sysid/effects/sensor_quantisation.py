@@ -1,7 +1,5 @@
 """``sensor_quantisation``: readings are whole steps of a counter or converter."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sysid.effects.compiled import inlined

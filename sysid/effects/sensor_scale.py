@@ -1,7 +1,5 @@
 """``sensor_scale``: scale error of a sensor (wrong drum radius, wrong conversion factor)."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 

@@ -1,13 +1,12 @@
 """``smooth_coulomb_friction``: dry friction whose sign changes gradually with the speed."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _FORCE = Parameter("force", "N or N·m", (0.0, 1e6), (1.0,), 0.01, "at high speed", scale="force")
+_WIDTH = Parameter("width", "drive/s", (1e-4, 1.0), (0.03, 0.1), 0.005, "force over the slope at zero speed")
 
 EFFECT = Effect(
     name="smooth_coulomb_friction",
@@ -18,19 +17,13 @@ EFFECT = Effect(
     ),
     part="cylinder",
     stage="force",
-    target="axis",
     slots=(Slot("force"), Slot("width", 0.05), Slot("exponent")),
     forms=(
+        Form((_FORCE, _WIDTH)),
         Form(
             (
                 _FORCE,
-                Parameter("width", "drive/s", (1e-4, 1.0), (0.03, 0.1), 0.005, "force over the slope at zero speed"),
-            )
-        ),
-        Form(
-            (
-                _FORCE,
-                Parameter("width", "drive/s", (1e-4, 1.0), (0.03, 0.1), 0.005, "force over the slope at zero speed"),
+                _WIDTH,
                 Parameter("exponent", "1", (1.0, 8.0), (1.5,), 0.1, "of the approach to the full force", secondary=True),
             )
         ),

@@ -4,8 +4,6 @@ Seals stick behind the valve: the speed that it demands frees them. A spool stic
 and its lag: its command frees it, the same on both sides whatever their overlap.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sysid.effects.compiled import inlined
@@ -25,7 +23,6 @@ EFFECT = Effect(
     ),
     part="cylinder",
     stage="command",
-    target="axis",
     slots=(Slot("breakaway"), Slot("release"), Slot("spool_breakaway"), Slot("spool_release")),
     forms=(
         Form(

@@ -1,7 +1,5 @@
 """``stiffness_error``: the controller of a servo makes another force of its position error than the simulation assumes."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -11,7 +9,6 @@ EFFECT = Effect(
     sentences=("The servo of the {target} is {ratio} times as stiff as described.",),
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("ratio", 1.0),),
     forms=(Form((Parameter("ratio", "1", (0.05, 20.0), (0.7, 1.4), 0.01, "true kp / described kp"),)),),
     equation="force = clip(ratio·kp·(command − q) − kv·q̇)",

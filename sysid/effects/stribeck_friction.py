@@ -1,7 +1,5 @@
 """``stribeck_friction``: friction that is largest at rest and falls with speed as an oil film builds up."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.effects.compiled import inlined
@@ -13,7 +11,6 @@ EFFECT = Effect(
     sentences=("The friction of the {target} falls from {static_force} to {coulomb_force}.",),
     part="cylinder",
     stage="force",
-    target="axis",
     slots=(Slot("static_force"), Slot("coulomb_force"), Slot("stribeck_velocity", 0.01)),
     forms=(
         Form(

@@ -1,7 +1,5 @@
 """``temperature_drift``: as the oil warms up, the gain changes from its cold to its warm value."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -16,7 +14,6 @@ EFFECT = Effect(
     sentences_by={"unknown": ("As the drive warms up, the speed of the {target} drifts by {fraction}.",)},
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("fraction"), Slot("time_constant", 600.0)),
     forms=(
         Form(

@@ -1,7 +1,5 @@
 """``tip_offset``: the measured point lies elsewhere on the last link than described."""
 
-from __future__ import annotations
-
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
 _T = ("translation_x", "translation_y", "translation_z")

@@ -1,7 +1,5 @@
 """``valve_deadband``: spool overlap: small commands cause no motion, with a limit for each side."""
 
-from __future__ import annotations
-
 from sysid.effects.compiled import inlined
 from sysid.effects.effect import Effect, Form, Need, Parameter, Slot
 
@@ -16,7 +14,6 @@ EFFECT = Effect(
     titles={"unknown": "Command dead-band"},
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("positive"), Slot("negative")),
     forms=(
         Form(

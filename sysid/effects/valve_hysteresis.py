@@ -1,7 +1,5 @@
 """``valve_hysteresis``: friction and magnetic remanence of the spool: the opening follows the command with hysteresis."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sysid.effects.compiled import inlined
@@ -15,7 +13,6 @@ EFFECT = Effect(
     sentences_by={"unknown": ("The drive of the {target} has a hysteresis of {width} of its command.",)},
     part="valve",
     stage="command",
-    target="axis",
     slots=(Slot("width"),),
     forms=(Form((Parameter("width", "1", (0.0, 0.5), (0.02, 0.06, 0.15), 0.004, "full width, in command"),)),),
     equation="y = min(max(y, u − width/2), u + width/2)",

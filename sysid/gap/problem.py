@@ -14,8 +14,8 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.effects.effect import Stage
 from sysid.errors import ExcitationError
 from sysid.gap.arm.forces import ArmForces
+from sysid.gap.arm.pose_folds import pose_roles
 from sysid.gap.drift import BIN
-from sysid.gap.poses.folds import pose_roles
 from sysid.machine import Axis
 from sysid.plant import Model
 from sysid.plant.force import ForceFilter, ForceInputs, force_inputs
@@ -350,7 +350,7 @@ def split_of(dataset: Dataset) -> Split:
 def pose_split(dataset: Dataset) -> Split:
     """Static poses by role: as in the dataset; a set with one role only is cut into contiguous blocks (60/20/20 %).
 
-    Without motion beside them: see :mod:`sysid.gap.poses.folds`.
+    Without motion beside them: see :mod:`sysid.gap.arm.pose_folds`.
     """
     if is_pose_set(dataset):
         return Split(*pose_roles(dataset).values())

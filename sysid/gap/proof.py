@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import flexible_drive, gain_error, inertia_error
+from sysid.gap.arm.sag_ties import sag_tie, without_sensor_names
+from sysid.gap.arm.servos import with_coupled_values
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import clearly_worse
 from sysid.gap.disagreement import stage_rmse
@@ -27,8 +29,6 @@ from sysid.gap.prepare.resolution import CoarseSensor
 from sysid.gap.problem import FORCES
 from sysid.gap.reasons import Reason
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
-from sysid.gap.servo.arm import with_coupled_values
-from sysid.gap.servo.ties import sag_tie, without_sensor_names
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.statement import AGREES

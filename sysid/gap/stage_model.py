@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.gap.arm.sag import fewest_sets, sags
 from sysid.gap.candidates import Candidate
 from sysid.gap.comparison import smallest_sets
 from sysid.gap.decision import Decision, decide
@@ -20,7 +21,6 @@ from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, own_evidence, robust
 from sysid.gap.problem import STATIC, Problem
 from sysid.gap.proposals import Proposals
-from sysid.gap.servo.sag import fewest_sets, sags
 from sysid.machine import EffectKey
 from sysid.plant import Model
 

@@ -14,17 +14,17 @@ from sysid.datasets.checks.roles import is_pose_set
 from sysid.datasets.recording import Recording
 from sysid.effects import clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
+from sysid.gap.arm.link_rows import CERTAIN
+from sysid.gap.arm.link_stage import fit_links_stage, links_adjusted
+from sysid.gap.arm.pose_folds import FoldValues, are_folds, fold_of
+from sysid.gap.arm.pose_stage import fit_pose_stage
 from sysid.gap.arm.posture import posture_share
-from sysid.gap.arm.rows import CERTAIN
-from sysid.gap.arm.stage import fit_links_stage, links_adjusted
 from sysid.gap.candidates import Candidate, adjusted_link
 from sysid.gap.comparison import difference
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.likelihood.stage import ModelFit
-from sysid.gap.poses.folds import FoldValues, are_folds, fold_of
-from sysid.gap.poses.stage import fit_pose_stage
 from sysid.gap.prepare.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.prepare.clocks import open_offset
 from sysid.gap.problem import STATIC, Problem

@@ -13,11 +13,11 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from sysid.datasets.checks.roles import is_pose_set
 from sysid.gap.adapters.adapter import SimulatorAdapter
+from sysid.gap.arm.servos import beside_each_other, with_link_masses
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import shown_floor
 from sysid.gap.search_tasks import SearchTasks
 from sysid.gap.sensor_scales import with_sensor_scales
-from sysid.gap.servo.arm import beside_each_other, with_link_masses
 from sysid.gap.stage_result import StageResult
 from sysid.gap.stage_search import LINKS, Forms, find_stage
 from sysid.machine import EffectKey

@@ -22,6 +22,7 @@ from sysid.files import plain
 from sysid.gap import disagreement
 from sysid.gap.adapters.adapter import SimulatorAdapter
 from sysid.gap.adapters.simulator import Simulator
+from sysid.gap.arm.sag import advice_on_sag, sagging_axis
 from sysid.gap.disagreement import agreement, stage_gap, world_gap
 from sysid.gap.excitation import advice, advice_on_tie, excitation_of
 from sysid.gap.held_out import held_out_error
@@ -31,7 +32,6 @@ from sysid.gap.promotion import first_promotion, free_run_check, lineage_of, nam
 from sysid.gap.proof import ProofOutcome, evaluate, with_carried
 from sysid.gap.result import Check, Excitation, Gap, Promotion, StageGap, Traces, WorldGap
 from sysid.gap.search_tasks import SearchTasks
-from sysid.gap.servo.sag import advice_on_sag, sagging_axis
 from sysid.gap.stage_search import Forms
 from sysid.gap.stages import search_stages
 from sysid.gap.statement import Agreement, ResponseDifference, response_differences

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from sysid.datasets.recording import Dataset
 from sysid.effects import effect_named
+from sysid.gap.arm.sag import advice_on_sag, sagging_axis
 from sysid.gap.excitation import TRAVEL_UNITS, axis_of
 from sysid.gap.result import GapResult
-from sysid.gap.servo.sag import advice_on_sag, sagging_axis
 from sysid.names import listed
 from sysid.reports.words import effect_place, effect_title, tie_text
 

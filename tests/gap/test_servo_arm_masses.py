@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from servo_arms import arm_text, commands, drafted, recording_of
 
+from sysid.gap.arm import servos as servo_arm
+from sysid.gap.arm.servos import beside_each_other, with_coupled_values, with_link_masses
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.fit import Fit, place
 from sysid.gap.prepare.case import Stage
 from sysid.gap.problem import Split, drive_problem
 from sysid.gap.result import EffectEvidence, NamedEffect
-from sysid.gap.servo import arm as servo_arm
-from sysid.gap.servo.arm import beside_each_other, with_coupled_values, with_link_masses
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.machine import KnownEffect
 from sysid.plant import compile_plant, free_run, nominal_plant

@@ -17,9 +17,9 @@ from servo_arms import arm_text, commands, drafted, recording_of
 
 from sysid.datasets.recording import Dataset
 from sysid.gap import find_gap
+from sysid.gap.arm import servos as servo_arm
 from sysid.gap.candidates import Scales, candidates_at, without_servo_aliases
 from sysid.gap.prepare.case import stage_candidates
-from sysid.gap.servo import arm as servo_arm
 from sysid.gap.steps import open_study
 from sysid.machine import Machine
 from sysid.plant import nominal_plant

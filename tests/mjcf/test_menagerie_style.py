@@ -23,7 +23,7 @@ from sysid.datasets.recording import Recording
 from sysid.errors import InputError, SettingsError
 from sysid.gap.adapters.mujoco.native import write_native
 from sysid.gap.adapters.mujoco.repair import relocate, write_spec
-from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
+from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.machine import KnownEffect, load_machine
 from sysid.machine.sources.mjcf import mjcf_draft
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec
@@ -111,8 +111,8 @@ def test_a_scene_runs_and_is_repaired_in_another_folder(models: Path, tmp_path: 
     assert before["joint1.joint"].std() > 0.05
     assert before["ee.z"].between(0.2, 0.8).all(), "the hand holds its place above the ground"
     spec, model = load_spec(path), load_mjcf(path)
-    drives = drives_of(model, machine, path.name)
-    native, beside = write_native(spec, drives, [KnownEffect("input_delay", "joint2", {"delay": 0.06})])
+    delay = KnownEffect("input_delay", "joint2", {"delay": 0.06})
+    native, beside = write_native(spec, model, machine, [delay], path.name)
     assert (len(native), beside) == (1, [])
     relocate(spec, path, out)
     write_spec(spec, out)

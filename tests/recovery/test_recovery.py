@@ -88,6 +88,6 @@ def test_nothing_is_named_where_nothing_is_missing(plant: Plant, seed: int) -> N
 
 
 def test_every_effect_has_a_case() -> None:
-    # tests/gap/arm, tests/gap/poses, tests/gap/test_servo_controllers.py
+    # tests/gap/arm, tests/gap/test_servo_controllers.py
     elsewhere = {e.name for e in CATALOGUE if e.of_links or e.described_only or e.actuations == ("servo",)}
     assert {case.name for case in CASES} == {effect.name for effect in CATALOGUE} - elsewhere

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -50,7 +51,6 @@ class SimulatorAdapter:
     _model: Model = field(repr=False)
     _surrogates: dict[str, Surrogate] = field(default_factory=dict, repr=False, compare=False)
     _stages: dict[tuple[str, str], Problem] = field(default_factory=dict, repr=False, compare=False)
-    _held: dict[int, tuple[Recording, Recording]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -191,11 +191,7 @@ class SimulatorAdapter:
         """A stage of the plant, turned into one of the simulator."""
         if problem.stage == "command":
             axis = problem.target
-
-            def drive(thetas: Array, recording: Recording) -> Array:
-                return self._drive(thetas, recording, axis)
-
-            own = replace(problem, predict=drive, short=None)
+            own = replace(problem, predict=partial(self._drive, axis=axis), short=None)
             (driven,), neutral = problem.signals, self._model.theta[None]
             runs = [self._as_simulated(neutral, recording, (driven,)) for recording in split_of(dataset).seen]
             surrogate = fit_surrogate(own, self.plant, self._model, runs, noise_levels(dataset)[driven])
@@ -276,13 +272,13 @@ class SimulatorAdapter:
         factor = simulator.steps_in_sample(recording.rate_hz) if isinstance(simulator, SteppedSimulator) else 1
         if factor == 1:
             return 1, recording
-        known = self._held.get(id(recording))
-        if known is None or known[0] is not recording:
+        key = "held over steps", factor
+        if key not in recording.derived:
             rate = factor * recording.rate_hz
             table = recording.table.loc[recording.table.index.repeat(factor)].reset_index(drop=True)
             table = table.assign(time=np.arange(len(table)) / rate)
-            known = self._held[id(recording)] = (recording, replace(recording, table=table, rate_hz=rate))
-        return factor, known[1]
+            recording.derived[key] = replace(recording, table=table, rate_hz=rate)
+        return factor, recording.derived[key]
 
 
 def stretches_of(model: Model, recording: Recording) -> Stretches:

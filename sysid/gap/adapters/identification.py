@@ -20,7 +20,7 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import gripper_sway
 from sysid.gap.adapters.input_output_effects import apply_input_effects
 from sysid.gap.adapters.simulator import Signals
-from sysid.gap.candidates import Candidate, candidates_at
+from sysid.gap.candidates import candidates_at
 from sysid.gap.data import Data
 from sysid.gap.fit import fit_candidates, place, spread_of, starting_values
 from sysid.gap.prepare.noise import noise_levels
@@ -29,6 +29,7 @@ from sysid.machine import Axis, KnownEffect, Machine, TabulatedLinkage
 from sysid.plant import Model, Plant, axis_run, compile_plant, layout
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.plant.model import SETTLE_WINDOW, frozen, in_parallel
+from sysid.plant.stretches import split
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -121,10 +122,8 @@ def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[R
     axis = model.machine.axis(problem.target)
     if not runs:
         return None
-    candidates = [
-        c for c in candidates_at(plant, model.theta, ("command",), (axis.name,)) if c.effect.surrogate_test is not None
-    ]
-    candidates = [c for c in candidates if c.form is c.effect.forms[0]]
+    known = candidates_at(plant, model.theta, ("command",), (axis.name,))
+    candidates = [c for c in known if c.effect.surrogate_test is not None and c.form is c.effect.forms[0]]
     data = Data(drive_problem(model, axis), runs, np.array([sigma]))
     fitted = fit_candidates(data, model.theta, candidates, starting_values(candidates, (), 0)).theta
     short = replace(problem, predict=_predict(model, axis, fitted, SHORT_RUN), short=None)
@@ -133,15 +132,10 @@ def fit_surrogate(problem: Problem, plant: Plant, model: Model, runs: Sequence[R
     if not left < MAX_SHORT_RUN_SHARE * float(np.sqrt(np.nanmean(motion**2))):
         return None
     whole = replace(problem, predict=_predict(model, axis, fitted), short=short)
-    tested = _test_effects(candidates, model.theta)
+    unknowns = [u for c in candidates for u in c.unknowns]
+    tested = place(model.theta, unknowns, np.array([[c.effect.surrogate_test for c in candidates for _ in c.unknowns]]))
     differences = [whole.predict(tested, r) - problem.predict(tested, r) for r in runs]
     return Surrogate(whole, max(spread_of(data.residuals(fitted[None])), spread_of(differences) / sigma))
-
-
-def _test_effects(candidates: Sequence[Candidate], theta: Array) -> Array:
-    """``theta`` with all test effects at the input at once, (1, N)."""
-    unknowns = [u for c in candidates for u in c.unknowns]
-    return place(theta, unknowns, np.array([[c.effect.surrogate_test for c in candidates for _ in c.unknowns]]))
 
 
 def _short_motion(recording: Recording, signal: str) -> Array:
@@ -163,8 +157,7 @@ def _predict(
         stretches = model.held(recording, axis.name)[1]
         commands = apply_input_effects(model, thetas, recording, (axis.name,), stretches)[axis.name]
         length = max(2, round(restart_every / dt)) if restart_every is not None else count
-        pieces = [(k, min(k + length, last)) for first, last in stretches for k in range(first, last, length)]
-        segments, size = np.array(pieces, dtype=np.int64).reshape(-1, 2), layout.axis_memory(dt)
+        segments, size = split(stretches, length), layout.axis_memory(dt)
         measured, load = frozen(recording.values(axis.driven)), model.load(thetas, recording)[i]
         lanes = np.repeat(fitted[None], len(thetas), axis=0)
         lanes[:, output_effects] = thetas[:, output_effects]

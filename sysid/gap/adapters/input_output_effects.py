@@ -118,9 +118,8 @@ def apply_output_effects(
             middle = _median(x[:1])
             if half > 0.0:
                 far = first_motion(seen, 0, len(seen)) + settle
-                x = x + half * _initial_side(
-                    [_squares(seen[:far] - drive_to_joint(x[:far] + side * half, middle, rows)) for side in (-1, 0, 1)]
-                )
+                errors = [seen[:far] - drive_to_joint(x[:far] + side * half, middle, rows) for side in (-1, 0, 1)]
+                x = x + half * _initial_side([float(np.nansum(error**2)) for error in errors])
             out[k, rows] = drive_to_joint(x, middle, rows)
     return out
 
@@ -132,10 +131,6 @@ def _initial_side(costs: list[float]) -> float:
     if bend > 0.0:
         return float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0))
     return float(np.sign(low - high))
-
-
-def _squares(values: Array) -> float:
-    return float(np.nansum(values**2))
 
 
 def _median(values: Array, default: float = float("nan")) -> float:

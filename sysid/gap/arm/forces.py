@@ -25,6 +25,8 @@ Rows = npt.NDArray[np.int64]
 FRICTION = 7
 #: The column of a constant load.
 CONSTANT = 4
+#: Rows for each column of a regression at least.
+ROWS_PER_COLUMN = 4
 
 
 def friction_columns(v: Array, a: Array, load: Array, known: bool = False) -> Array:
@@ -45,6 +47,17 @@ def without(table: Array, friction: Array) -> Array:
     q, r = np.linalg.qr(friction[:, size > 0.0] / size[size > 0.0])
     q = q[:, np.abs(np.diag(r)) > 1e-9]
     return np.asarray(table - q @ (q.T @ table))
+
+
+def fitted(columns: Array, target: Array) -> tuple[Array, float]:
+    """Coefficients (k,) of a least-squares fit by columns (m, k) of any size, and the RMS that it leaves of ``target`` (m,).
+
+    The RMS counts degrees of freedom.
+    """
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    found, _, rank, _ = np.linalg.lstsq(columns / size, target, rcond=1e-9)
+    left = target - columns / size @ found
+    return found / size, float(np.sqrt(left @ left / max(len(target) - int(rank), 1)))
 
 
 class ArmForces:

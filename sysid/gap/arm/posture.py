@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.gap.arm.forces import friction_columns
+from sysid.gap.arm.forces import ROWS_PER_COLUMN, fitted, friction_columns
 from sysid.gap.problem import Problem
 from sysid.gap.thresholds import at_floor
 from sysid.machine import Machine
@@ -22,9 +22,6 @@ from sysid.plant.smooth_motion import smooth_motion
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
-
-#: Rows for each column at least.
-ROWS_PER_COLUMN = 4
 
 
 @dataclass(frozen=True)
@@ -49,8 +46,13 @@ def posture_share(
         sigma: noise floor of the force; ``units``: signal → SI unit that the logs state.
     """
     axis = machine.axis(problem.target)
-    turning = [name for name in machine.axis_names if _turns(machine, name, units)]
-    turning = [n for n in turning if all(np.isfinite(r.values(axis_signal(n, "joint"))).sum() > 1 for r in recordings)]
+    joints = {name: axis_signal(name, "joint") for name in machine.axis_names}
+    turning = [
+        name
+        for name, joint in joints.items()
+        if (machine.expected_unit(joint) or units.get(joint)) != "m"  # it is not known to slide
+        and all(np.isfinite(recording.values(joint)).sum() > 1 for recording in recordings)
+    ]
     if not turning:
         return None
     friction, posture, force = list[Array](), list[Array](), list[Array]()
@@ -65,13 +67,7 @@ def posture_share(
     f, p, y = np.concatenate(friction), np.concatenate(posture), np.concatenate(force)
     if len(y) < ROWS_PER_COLUMN * (f.shape[1] + p.shape[1]):
         return None
-    return PostureShare(_left(f, y) / sigma, _left(np.hstack([f, p]), y) / sigma)
-
-
-def _turns(machine: Machine, axis: str, units: Mapping[str, str]) -> bool:
-    """Whether a joint is not known to slide."""
-    joint = axis_signal(axis, "joint")
-    return (machine.expected_unit(joint) or units.get(joint)) != "m"
+    return PostureShare(fitted(f, y)[1] / sigma, fitted(np.hstack([f, p]), y)[1] / sigma)
 
 
 def _posture_columns(recording: Recording, axis: str, turning: Sequence[str]) -> Array:
@@ -92,11 +88,3 @@ def _posture_columns(recording: Recording, axis: str, turning: Sequence[str]) ->
         parts += [a, a * np.cos(lever), a * np.cos(q), v**2 * np.sin(lever), v**2 * np.sin(q)]
     parts += [part for angle in angles for part in (np.sin(angle), np.cos(angle))]
     return np.column_stack(parts)
-
-
-def _left(columns: Array, target: Array) -> float:
-    """RMS of what a least-squares fit leaves, by degrees of freedom."""
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-    found, _, rank, _ = np.linalg.lstsq(columns / size, target, rcond=1e-9)
-    left = target - columns / size @ found
-    return float(np.sqrt(left @ left / max(len(target) - int(rank), 1)))

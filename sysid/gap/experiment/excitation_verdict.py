@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from sysid.datasets.checks.roles import unmet_need
-from sysid.datasets.recording import Dataset, Recording
-from sysid.effects import CATALOGUE, Effect, effect_named, flexible_drive, inertia_error, link_mass_error, sensor_quantisation
+from sysid.datasets.recording import Dataset
+from sysid.effects import CATALOGUE, Effect, effect_named
 from sysid.gap.excitation import advice, excitation_at, excitation_of, measured_signals, recording_for
 from sysid.gap.prepare.case import Case, Stage, stage_candidates, stage_split
 from sysid.gap.problem import problems_of, split_of
@@ -50,13 +50,6 @@ class ExcitationVerdict:
     unit: str
     text: str
     record: str = ""
-
-    @property
-    def excitation(self) -> Excitation | None:
-        """The same as an item of ``GapResult.excitation``."""
-        if self.have is None or self.need is None:
-            return None
-        return Excitation(self.name, self.target, self.status == "ready", self.have, self.need, self.unit)
 
 
 @dataclass(frozen=True)
@@ -144,10 +137,13 @@ def excitation_report(dataset: Dataset, plant: Plant) -> ExcitationReport:
             if candidate.key not in found:  # the same for all forms of an effect
                 item = excitation_of(candidate, stage.split.seen, machine)
                 found[candidate.key] = _counted(item, stage.problem.stage, candidate.side, machine)
-    verdicts, sensors = list(found.values()), _sensors(machine, split.seen)
-    for signal in sensors:  # their quantisation is not fitted, but estimated from the readings
-        item = excitation_at(sensor_quantisation.EFFECT, signal, split.seen, machine)
-        verdicts.append(_counted(item, "sensor", None, machine))
+    measured = measured_signals(split.seen)
+    known = [axis_signal(axis.name, quantity) for axis in machine.axes for quantity in ("cylinder", "joint")]
+    verdicts, sensors = list(found.values()), [signal for signal in known if signal in measured]
+    for effect in CATALOGUE:
+        if effect.target == "signal" and not effect.fitted:  # it is estimated from the readings
+            items = [excitation_at(effect, signal, split.seen, machine) for signal in sensors]
+            verdicts += [_counted(item, "sensor", None, machine) for item in items]
     there = {(verdict.name, verdict.target, verdict.side) for verdict in verdicts}
     reasons = _Reasons(dataset, model, aliases)
     for effect in CATALOGUE:
@@ -164,13 +160,6 @@ def _counted(item: Excitation, stage: str, side: str | None, machine: Machine) -
     if item.sufficient:
         text, wanted = text.removesuffix(wanted).rstrip(" ."), ""
     return ExcitationVerdict(item.name, item.target, stage, side, status, item.have, item.need, item.unit, text, wanted)
-
-
-def _sensors(machine: Machine, recordings: Sequence[Recording]) -> list[str]:
-    """Measured signals of drives and joints."""
-    names = [axis_signal(axis.name, quantity) for axis in machine.axes for quantity in ("cylinder", "joint")]
-    measured = measured_signals(recordings)
-    return [name for name in names if name in measured]
 
 
 def _places(effect: Effect, machine: Machine, dataset: Dataset, sensors: Sequence[str]) -> Iterator[tuple[str, str | None]]:
@@ -249,15 +238,16 @@ class _Reasons:
             return f"indistinguishable from {name} on {place} in every pose, which represents it"
         if side == "drive" and self.machine.axis(target).actuation == "force":
             return "a force axis is compared by its force at measured motion, independent of compliance ahead of the sensor"
-        if effect is inertia_error.EFFECT and self.machine.axis(target).inertia is None:
+        if effect.ratio_of == "inertia" and (axis := self.machine.axis(target)).actuation == "force" and axis.inertia is None:
             return "machine.toml states no inertia of its rotor, which is adjusted without a name"
         if effect.in_links and moves_masses(self.machine):
             return "the adjusted parameters of its links contain it"
-        if effect is flexible_drive.EFFECT:
+        scales = {parameter.scale for form in effect.forms for parameter in form.parameters}
+        if "response" in scales:
             return "its force responds to its motion like that of a rigid drive, up to the frequencies that the motion contains"
-        if effect is link_mass_error.EFFECT:
+        if effect.ratio_of == "mass":
             return "gravity puts no load on it"
-        if any(parameter.scale == "1/load" for form in effect.forms for parameter in form.parameters):
+        if "1/load" in scales:
             return "gravity puts no load on it" if self.machine.kinematics() is not None else "machine.toml names no URDF"
         if effect.target == "signal":
             return "no other sensor measures the same: a wrong gain or zero of the simulation would look the same"

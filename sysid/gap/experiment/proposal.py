@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
-from sysid.effects import pump_flow_limit
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of, measured_signals
 from sysid.gap.experiment.excitation_signal import ExcitationSignal, design_excitation, simulate_recording
@@ -269,7 +268,7 @@ class Planner:
 
     def _pump_sufficient(self, recording: Recording, model: PlausibleModel, hypothesis: OpenHypothesis) -> bool:
         """Whether the demanded flow is within the pump limit; not required where the hypothesis concerns the pump."""
-        if any(candidate.effect is pump_flow_limit.EFFECT for candidate in hypothesis.candidates):
+        if any(candidate.target == "machine" for candidate in hypothesis.candidates):
             return True
         return float(replace(self.model, theta=model.theta).share(model.theta[None], recording).min()) >= 1.0
 

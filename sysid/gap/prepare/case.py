@@ -11,23 +11,15 @@ import pandas as pd
 
 from sysid.datasets.checks.roles import check_needs, is_pose_set
 from sysid.datasets.recording import Dataset, Recording
-from sysid.effects import (
-    armature_error,
-    coulomb_friction,
-    damping_error,
-    flexible_drive,
-    inertia_error,
-    link_mass_error,
-    oil_compressibility,
-)
+from sysid.effects import coulomb_friction
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
+from sysid.gap.arm.pose_folds import shown_by_poses
 from sysid.gap.candidates import Candidate, Scales, candidates_at, without_aliases, without_servo_aliases
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
-from sysid.gap.poses.folds import shown_by_poses
 from sysid.gap.prepare.clocks import with_order
 from sysid.gap.prepare.drives import DriveResonance, SpeedResonance, drive_delay, drive_resonance, speed_resonance
 from sysid.gap.prepare.measured_input import with_measured_input
@@ -155,7 +147,8 @@ def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:
     for each in problems:
         split = stage_split(case, each)
         problem, resonance = _with_resonance(case, each, split)
-        oscillation = _oscillation(case, problem, split)
+        moves_by_speed = problem.integrates and case.adapter is None
+        oscillation = speed_resonance(problem, split.seen, case.theta) if moves_by_speed else None
         found.append(Stage(problem, split, np.zeros(0), case.theta, resonance=resonance, oscillation=oscillation))
         parts.append((problem, case.theta if resonance is None else _with_spring(case, problem.target, resonance), split.fit))
     floors = problem_floors(parts, case.noise, case.seed)
@@ -183,17 +176,9 @@ def _with_spring(case: Case, axis: str, resonance: DriveResonance) -> Array:
     """The vector of the plant with a flexible drive: near its antiresonance, noise of the motion causes most of the noise."""
     theta = case.theta.copy()
     for name, value in resonance.parameters.items():
-        (places,) = parameter_indices(case.plant.machine.axis_names, flexible_drive.EFFECT.name, axis, None, name)
+        (places,) = parameter_indices(case.plant.machine.axis_names, resonance.effect, axis, None, name)
         theta[places] = value
     return theta
-
-
-def _oscillation(case: Case, problem: Problem, split: Split) -> SpeedResonance | None:
-    """The resonance of a speed-commanded axis above the start values of its effect, which reach the lower ones."""
-    if not problem.integrates or case.adapter is not None:
-        return None
-    frequency = oil_compressibility.EFFECT.forms[0].parameters[0]
-    return speed_resonance(problem, split.seen, case.theta, max(frequency.starts))
 
 
 def stage_split(case: Case, problem: Problem) -> Split:
@@ -277,19 +262,18 @@ def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: S
     An effect that the adjusted parameters of links contain is compared without links only. A link whose weight does not load
     the joint of a servo acts on it as the rotor does.
     """
-    if candidate.target in problem.carried and candidate.effect is link_mass_error.EFFECT:
-        rotates_alone = candidate.target == problem.target and not scales.loads.get(candidate.target)
-        return not (rotates_alone and plant.machine.axis(candidate.target).inertia)
-    if (candidate.effect.of_links, candidate.effect.in_links)[moves_masses(plant.machine)]:
+    effect, target = candidate.effect, candidate.target
+    if effect.ratio_of == "mass" and target in problem.carried:
+        rotates_alone = target == problem.target and not scales.loads.get(target)
+        return not (rotates_alone and plant.machine.axis(target).inertia)
+    if (effect.of_links, effect.in_links)[moves_masses(plant.machine)]:
         return False
-    if candidate.effect is link_mass_error.EFFECT:
-        return bool(scales.loads.get(candidate.target))
-    if candidate.effect is damping_error.EFFECT:
-        servo = plant.machine.axis(candidate.target).servo
+    if effect.ratio_of == "mass":
+        return bool(scales.loads.get(target))
+    if effect.ratio_of == "damping":
+        servo = plant.machine.axis(target).servo
         return servo is not None and servo.kv > 0.0
-    if candidate.effect in (inertia_error.EFFECT, armature_error.EFFECT):
-        return bool(plant.machine.axis(candidate.target).inertia)
-    return True
+    return effect.ratio_of != "inertia" or bool(plant.machine.axis(target).inertia)
 
 
 def _scales_of(plant: Plant, stage: Stage) -> Scales:
@@ -328,11 +312,10 @@ def _typical_force(stage: Stage) -> float:
 def _responses(plant: Plant, stage: Stage) -> dict[tuple[str, str], Mapping[str, float]]:
     """Start values of drives with a spring: those that the response shows, else those of the plant."""
     axis = stage.problem.target
-    if stage.oscillation is not None:
-        return {(oil_compressibility.EFFECT.name, axis): stage.oscillation.parameters}
-    if stage.resonance is not None:
-        return {(flexible_drive.EFFECT.name, axis): stage.resonance.parameters}
-    known = plant.effect(flexible_drive.EFFECT.name, axis) if axis in plant.machine.axis_names else None
+    shown = stage.oscillation or stage.resonance
+    if shown is not None:
+        return {(shown.effect, axis): shown.parameters}
+    known = plant.effect(DriveResonance.effect, axis) if axis in plant.machine.axis_names else None
     if known is None:
         return {}
     return {(known.name, axis): {k: float(v) for k, v in known.parameters.items() if isinstance(v, float | int)}}

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,7 @@ from scipy import signal
 from scipy.optimize import Bounds, minimize
 
 from sysid.datasets.recording import Recording
+from sysid.effects import flexible_drive, oil_compressibility
 from sysid.gap.problem import Problem
 from sysid.gap.thresholds import PRICE
 from sysid.machine import Axis
@@ -61,6 +63,7 @@ STEP = 1e-3
 class DriveResonance:
     """Antiresonance and resonance [Hz], damping ratio of the antiresonance, and inertia of the load over that of the motor."""
 
+    effect: ClassVar[str] = flexible_drive.EFFECT.name
     antiresonance_hz: float
     resonance_hz: float
     damping_ratio: float
@@ -68,7 +71,7 @@ class DriveResonance:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """As parameters of the effect ``flexible_drive``."""
+        """As parameters of the effect."""
         return {
             "frequency": self.antiresonance_hz,
             "damping_ratio": self.damping_ratio,
@@ -86,12 +89,13 @@ class DriveResonance:
 class SpeedResonance:
     """Natural frequency [Hz] and damping ratio of the load on its spring."""
 
+    effect: ClassVar[str] = oil_compressibility.EFFECT.name
     frequency: float
     damping_ratio: float
 
     @property
     def parameters(self) -> dict[str, float]:
-        """As parameters of the effect ``oil_compressibility``."""
+        """As parameters of the effect."""
         return {"frequency": self.frequency, "damping_ratio": self.damping_ratio}
 
 
@@ -251,11 +255,13 @@ def load_acceleration(acceleration: Array, frequency: float, damping_ratio: floa
     return np.asarray(signal.lfilter(numerator[0], denominator, acceleration, zi=begin)[0])
 
 
-def speed_resonance(problem: Problem, recordings: Sequence[Recording], theta: Array, least_hz: float) -> SpeedResonance | None:
-    """The resonance of a command stage above ``least_hz``; None where a delay and a lag explain the response about as well.
+def speed_resonance(problem: Problem, recordings: Sequence[Recording], theta: Array) -> SpeedResonance | None:
+    """The resonance of a command stage; None where a delay and a lag explain the response about as well.
 
-    It has to divide the squared error that these leave by the price of an effect.
+    It has to divide the squared error that these leave by the price of an effect, and to be above the start values of its
+    effect, which reach the lower ones.
     """
+    least_hz = max(oil_compressibility.EFFECT.forms[0].parameters[0].starts)
     motions = [r for r in recordings if r.kind == "motion"]
     if not motions or (highest := highest_force_hz(motions[0].rate_hz)) <= least_hz:
         return None

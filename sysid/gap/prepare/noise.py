@@ -24,7 +24,7 @@ import pandas as pd
 from sysid.datasets.checks.roles import is_pose_set
 from sysid.datasets.quality.noise import is_still, noise_bound, white_noise
 from sysid.datasets.recording import Dataset, Recording
-from sysid.gap.arm.forces import friction_columns
+from sysid.gap.arm.forces import ROWS_PER_COLUMN, fitted, friction_columns
 from sysid.gap.likelihood.discrepancy.drives import force_columns
 from sysid.gap.prepare.resolution import reading_step, rounding
 from sysid.gap.problem import Problem
@@ -53,9 +53,8 @@ LAST_DIGIT = 10.0 * float(np.finfo(np.float64).eps)
 SAME_POSE, REPEATS = 1e-3, 5
 #: Noisy copies of the recordings over which the propagation is averaged, and from which its spread is estimated.
 DRAWS, SPREAD_DRAWS = 3, 16
-#: Rows for each column of a regression at least, and residual that is rounding [share of the error]: the columns contain all of
-#: it, where the logged force is constant.
-ROWS_PER_COLUMN, ROUNDING = 4, 1e-9
+#: Residual that is rounding [share of the error]: the columns contain all of it, where the logged force is constant.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -296,9 +295,6 @@ def shown_floor(model: Model, problem: Problem, recordings: Sequence[Recording],
     table, force = np.concatenate(columns), np.concatenate(target)
     if len(force) < ROWS_PER_COLUMN * table.shape[1]:
         return sigma
-    size = np.maximum(np.linalg.norm(table, axis=0), 1e-12)
-    found, _, rank, _ = np.linalg.lstsq(table / size, force, rcond=1e-9)
-    left = force - table / size @ found
-    bound = float(np.sqrt(left @ left / (len(force) - int(rank))))
+    _, bound = fitted(table, force)
     least = ROUNDING * float(np.sqrt(np.mean(force**2)))
     return np.array([bound]) if least < bound and bound * TENTH < float(sigma[0]) else sigma

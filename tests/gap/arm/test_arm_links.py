@@ -14,9 +14,9 @@ from sysid.datasets import Dataset, Recording
 from sysid.errors import ExcitationError
 from sysid.gap import find_gap, steps
 from sysid.gap.arm.forces import without
+from sysid.gap.arm.link_rows import axis_rows, doubled, plausible
+from sysid.gap.arm.link_stage import fit_links_stage
 from sysid.gap.arm.posture import posture_share
-from sysid.gap.arm.rows import axis_rows, doubled, plausible
-from sysid.gap.arm.stage import fit_links_stage
 from sysid.gap.candidates import Candidate
 from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.stages import search_stages

@@ -12,7 +12,7 @@ from planar_arm import C2, I2, M1, M2, planar
 
 from sysid.datasets import Dataset, Recording
 from sysid.gap import steps
-from sysid.gap.arm.rows import axis_rows, linearised, with_carried
+from sysid.gap.arm.link_rows import axis_rows, linearised, with_carried
 from sysid.gap.excitation import excitation_of
 from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.stages import search_stages

@@ -17,6 +17,7 @@ from sysid.effects import BY_NAME, CATALOGUE
 from sysid.gap import find_gap
 from sysid.gap.excitation import COUNTS
 from sysid.gap.experiment.excitation_verdict import ExcitationReport, ExcitationVerdict, excitation_report
+from sysid.gap.result import Excitation
 
 Array = npt.NDArray[np.float64]
 LAG = KnownEffect("first_order_lag", "slew", {"time_constant": 0.1})
@@ -48,7 +49,8 @@ def test_the_verdicts_are_the_excitation_of_the_gap_workflow(machine: str, short
         dataset = replace(short, streams=CAPTURE) if machine == "capture" else short
     result = find_gap(dataset, plant, localise_only=True)
     found = excitation_report(dataset, plant)
-    excitations = [v.excitation for v in found.verdicts if v.excitation is not None and BY_NAME[v.name].fitted]
+    counted = [v for v in found.verdicts if v.status != "hidden" and BY_NAME[v.name].fitted]
+    excitations = [Excitation(v.name, v.target, v.status == "ready", v.have, v.need, v.unit) for v in counted]
     assert tuple(excitations) == result.excitation
     lacking = [v.text for v in found.of("lacking") if BY_NAME[v.name].fitted]
     assert result.verdict == "no_gap" or list(dict.fromkeys(lacking)) == list(result.next_experiment)
@@ -105,8 +107,7 @@ def test_an_unobservable_effect_has_a_reason(short: Dataset) -> None:
     assert verdict(found, "sensor_scale", "boom.cylinder").text == "boom.joint is not measured"
     assert verdict(found, "sensor_bias", "slew.joint").text.startswith("no other sensor measures the same")
     sag = verdict(found, "joint_compliance", "slew", "structure")
-    assert sag.status == "hidden"
-    assert sag.excitation is None
+    assert (sag.status, sag.have, sag.need) == ("hidden", None, None)
     bare = excitation_report(dataset_of(nominal(machine=slide()), 6.0), nominal(machine=slide()))
     assert verdict(bare, "base_misalignment", "base").text == "machine.toml names no URDF"
     assert "force at measured motion" in verdict(bare, "backlash", "slide", "drive").text

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
+from sysid.gap.arm.pose_rows import KINDS, tangents_of
 from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Sizes
 from sysid.gap.likelihood.stage import Prior
-from sysid.gap.poses.rows import KINDS, tangents_of
 from tests.helpers.pose_sets import Arm, Hidden, tips
 
 

@@ -25,10 +25,19 @@ from sysid.gap.adapters.mujoco.native import (
     TOGETHER,
     Change,
     in_command_units,
+    value_of,
     write_inertials,
     write_inside,
 )
-from sysid.gap.adapters.mujoco.repair import RepairedModel, check_gap, check_other_file, relocate, write_spec
+from sysid.gap.adapters.mujoco.repair import (
+    RepairedModel,
+    check_gap,
+    check_other_file,
+    known_effect,
+    measured_gap,
+    relocate,
+    write_spec,
+)
 from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
 from sysid.gap.disagreement import stage_gap
 from sysid.gap.prepare.noise import noise_levels
@@ -62,10 +71,7 @@ def is_force_driven(machine: Machine) -> bool:
 
 
 def open_force_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> Plant:
-    """The plant of a model whose axes are all driven by forces, for the recordings of a dataset.
-
-    Args:
-        assets: further folders below which the model may open files.
+    """The plant of a model whose axes are all driven by forces; arguments as of :func:`sysid.gap.adapters.mujoco.open_model`.
 
     Raises:
         InputError: not a file that MuJoCo compiles, or it needs other forces than the plant (springs, contacts).
@@ -147,9 +153,8 @@ def write_force_model(
     recordings hardly determine is integrated.
 
     Args:
-        tested: the plant of the model (:func:`open_force_model`).
+        tested: of :func:`open_force_model`.
         promised: error of the forces at measured motion on held-out recordings, of the repaired plant.
-        assets: further folders below which the model may open files.
 
     Raises:
         InputError: MuJoCo refuses the written model, or its error with the values of the result is larger than promised.
@@ -168,8 +173,8 @@ def write_force_model(
     loaded = open_force_model(out, dataset, repair.folders)
     study = steps.open_study(dataset, in_command_units(loaded, chosen.inertials))
     measured = stage_gap(study.case, study.stages, study.case.theta).before
-    gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
-    left_out = [_known(row) for row in adjusted] if why else []
+    gap = measured_gap(promised, measured)
+    left_out = [known_effect(row) for row in adjusted] if why else []
     left = (*chosen.left, *left_out)
     if not left and not chosen.fitted:
         check_gap(gap, promised, out)
@@ -238,7 +243,7 @@ class _Repair:
         """
         if any(row.kind == "adjusted" and row.name not in (*INSIDE, ADJUSTED) for row in rows):
             return None
-        effects = [_known(row) for row in rows]
+        effects = [known_effect(row) for row in rows]
         spec, compiled = load_spec(self.model, self.assets), load_mjcf(self.model, self.assets)
         together = any(item.name == ADJUSTED for item in effects)
         single = [item for item in effects if not (together and item.name in TOGETHER)]
@@ -291,7 +296,7 @@ class _Repair:
         """Free runs of a candidate, written to ``out``."""
         self.write(candidate)
         simulator = MujocoSimulator(self.out, self.tested.machine, self.folders)
-        constants = {item.target: float(np.asarray(item.parameters["scale"])) for item in candidate.inertials}
+        constants = {item.target: value_of(item, "scale") for item in candidate.inertials}
         return Differences(simulator, constants, self.noise)
 
     def write(self, candidate: _ChangedModel) -> None:
@@ -310,7 +315,3 @@ def _worse(named: _ChangedModel, whole: _ChangedModel) -> str:
     if np.isnan(named.error) or whole.error < named.error:
         return ""
     return f"the error of the free run rises from {named.error:.3g} to {whole.error:.3g} {IN_NOISE}"
-
-
-def _known(row: WrittenEffect) -> KnownEffect:
-    return KnownEffect(row.name, row.target, dict(row.parameters), row.side)  # type: ignore[arg-type]

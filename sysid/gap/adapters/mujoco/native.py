@@ -48,67 +48,102 @@ class Change:
     where: str
 
 
-def write_native(
-    spec: Any, drives: Mapping[str, Drive], effects: Sequence[KnownEffect]
-) -> tuple[list[Change], list[KnownEffect]]:
-    """Write what has a native place into ``spec``.
+@dataclass(frozen=True)
+class Place:
+    """Where an effect of an axis goes: the ``drive`` of the axis in ``spec``, from which ``model`` is compiled."""
 
-    Args:
-        drives: axis → its drive, by number of the actuator in ``spec``.
+    spec: Any
+    model: Any
+    machine: Machine
+    drive: Drive
+    item: KnownEffect
+
+    @property
+    def actuator(self) -> Any:
+        return self.spec.actuators[self.drive.actuator]
+
+    @property
+    def joint(self) -> Any:
+        return self.spec.joints[self.drive.joint]
+
+    @property
+    def gear(self) -> float:
+        return gear_of(self.model, self.drive.actuator)
+
+    @property
+    def name(self) -> str:
+        """Of the actuator, or its number."""
+        return str(self.actuator.name or self.drive.actuator)
+
+    def value(self, key: str) -> float:
+        return value_of(self.item, key)
+
+    def with_armature(self, armature: float) -> str | None:
+        """Write an armature; None where the actuator alone has more."""
+        value = joint_armature(self.model, self.drive, armature)
+        if value < 0.0:
+            return None
+        self.joint.armature = value
+        return f'joint {self.joint.name}: armature="{value:.6g}"'
+
+
+def write_native(
+    spec: Any, model: Any, machine: Machine, effects: Sequence[KnownEffect], source: str
+) -> tuple[list[Change], list[KnownEffect]]:
+    """Write what has a native place at the inputs of ``spec``; ``model`` is compiled from it.
 
     Returns:
         What was written, and the effects that remain beside the model.
     """
-    order = {effect.name: k for k, effect in enumerate(CATALOGUE)}
+    order, drives = {effect.name: k for k, effect in enumerate(CATALOGUE)}, drives_of(model, machine, source)
     written, beside = list[Change](), [item for item in effects if item.target not in drives]
     for axis, drive in drives.items():
-        own = sorted((item for item in effects if item.target == axis), key=lambda item: order[item.name])
-        actuator, open_end = spec.actuators[drive.actuator], True
+        own, open_end = sorted((item for item in effects if item.target == axis), key=lambda item: order[item.name]), True
         for item in reversed(own):
-            writer = INPUT_WRITERS.get(item.name)
+            writer, place = INPUT_WRITERS.get(item.name), Place(spec, model, machine, drive, item)
             moves = open_end or item.name == "input_delay"
-            place = writer(spec, actuator, drive, item) if writer is not None and moves else None
-            if place is not None:
-                written.append(Change(item, f"{actuator.name or drive.actuator}: {place}"))
+            where = writer(place) if writer is not None and moves else None
+            if where is not None:
+                written.append(Change(item, f"{place.name}: {where}"))
                 continue
             beside.append(item)
             open_end = open_end and effect_named(item.name).stage != "command"
     return written, sorted(beside, key=lambda item: order[item.name])
 
 
-def _delay(spec: Any, actuator: Any, drive: Drive, item: KnownEffect) -> str | None:
-    delay = float(actuator.delay) + _value(item, "delay")
-    if delay < float(spec.option.timestep):  # between the last two controls MuJoCo takes the older one: a whole step
+def _delay(place: Place) -> str | None:
+    actuator, step = place.actuator, float(place.spec.option.timestep)
+    delay = float(actuator.delay) + place.value("delay")
+    if delay < step:  # between the last two controls MuJoCo takes the older one: a whole step
         return None
     actuator.delay = delay
     actuator.interp = LINEAR
-    actuator.nsample = max(int(actuator.nsample), math.ceil(actuator.delay / float(spec.option.timestep)) + 2)
+    actuator.nsample = max(int(actuator.nsample), math.ceil(actuator.delay / step) + 2)
     return f'delay="{actuator.delay:.6g}"'
 
 
-def _lag(spec: Any, actuator: Any, drive: Drive, item: KnownEffect) -> str | None:
-    mujoco = mujoco_library()
+def _lag(place: Place) -> str | None:
+    mujoco, actuator = mujoco_library(), place.actuator
     if actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE or actuator.gaintype != mujoco.mjtGain.mjGAIN_FIXED:
         return None
     actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-    actuator.dynprm[0] = _value(item, "time_constant")
+    actuator.dynprm[0] = place.value("time_constant")
     actuator.actearly = True  # otherwise the filter acts a step late, which is a dead time beside the lag
     return f'dyntype="filterexact" dynprm="{actuator.dynprm[0]:.6g}" actearly="true"'
 
 
-def _gain(spec: Any, actuator: Any, drive: Drive, item: KnownEffect) -> str | None:
-    if drive.control != "speed":
+def _gain(place: Place) -> str | None:
+    if place.drive.control != "speed":
         return None
-    actuator.gainprm[0] = float(actuator.gainprm[0]) * _value(item, "ratio")
+    actuator = place.actuator
+    actuator.gainprm[0] = float(actuator.gainprm[0]) * place.value("ratio")
     return f'gainprm="{actuator.gainprm[0]:.6g}"'
 
 
-#: Effect → writer of its place in an actuator: ``writer(spec, actuator, drive, effect)``, None where the actuator lacks it.
-INPUT_WRITERS: Mapping[str, Callable[[Any, Any, Drive, KnownEffect], str | None]] = {
-    "input_delay": _delay,
-    "first_order_lag": _lag,
-    "gain_error": _gain,
-}
+#: Writes an effect; returns the attribute that holds it, None where the model has no place for it.
+Writer = Callable[[Place], str | None]
+#: Effect → writer of its place in an actuator.
+INPUT_WRITERS: Mapping[str, Writer] = {"input_delay": _delay, "first_order_lag": _lag, "gain_error": _gain}
 
 
 def write_inside(
@@ -121,65 +156,56 @@ def write_inside(
     """
     drives, written, left = drives_of(model, machine, source), list[Change](), list[KnownEffect]()
     for item in effects:
-        place = None
+        where = None
         if item.name == payload.EFFECT.name:
-            place = _payload(spec, machine, item)
+            where = _payload(spec, machine, item)
         elif item.name in FORCE_WRITERS and item.target in drives:
-            place = FORCE_WRITERS[item.name](spec, model, machine, drives[item.target], item)
-        if place is None:
+            where = FORCE_WRITERS[item.name](Place(spec, model, machine, drives[item.target], item))
+        if where is None:
             left.append(item)
         else:
-            written.append(Change(item, place))
+            written.append(Change(item, where))
     return written, left
 
 
-def _damping(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
-    coefficient = _both_ways(item, "coefficient")
+def _damping(place: Place) -> str | None:
+    coefficient, drive = _both_ways(place.item, "coefficient"), place.drive
     if coefficient is None:
         return None
-    own = float(model.actuator_damping[drive.actuator]) * gear_of(model, drive.actuator) ** 2
+    own = float(place.model.actuator_damping[drive.actuator]) * place.gear**2
     own += drive.damping if drive.control == "force" else 0.0  # of a servo it is that of the controller
     value = coefficient - own
     if value < 0.0:
         return None
-    joint = spec.joints[drive.joint]
-    joint.damping[0] = value
-    return f'joint {joint.name}: damping="{value:.6g}"'
+    place.joint.damping[0] = value
+    return f'joint {place.joint.name}: damping="{value:.6g}"'
 
 
-def _friction(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
-    force = _both_ways(item, "force")
+def _friction(place: Place) -> str | None:
+    force = _both_ways(place.item, "force")
     if force is None:
         return None
-    joint = spec.joints[drive.joint]
-    joint.frictionloss = force
-    return f'joint {joint.name}: frictionloss="{joint.frictionloss:.6g}"'
+    place.joint.frictionloss = force
+    return f'joint {place.joint.name}: frictionloss="{place.joint.frictionloss:.6g}"'
 
 
-def _bias(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
-    mujoco, actuator = mujoco_library(), spec.actuators[drive.actuator]
-    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.biasprm[0] = -_value(item, "force") / gear_of(model, drive.actuator)
+def _bias(place: Place) -> str | None:
+    actuator = place.actuator
+    actuator.biastype = mujoco_library().mjtBias.mjBIAS_AFFINE
+    actuator.biasprm[0] = -place.value("force") / place.gear
     return f'actuator {actuator.name}: biasprm="{actuator.biasprm[0]:.6g}"'
 
 
-def _armature(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
-    inertia = machine.axis(item.target).inertia
-    if inertia is None:
-        return None
-    value = joint_armature(model, drive, _value(item, "ratio") * inertia)
-    if value < 0.0:
-        return None
-    joint = spec.joints[drive.joint]
-    joint.armature = value
-    return f'joint {joint.name}: armature="{value:.6g}"'
+def _armature(place: Place) -> str | None:
+    inertia = place.machine.axis(place.item.target).inertia
+    return None if inertia is None else place.with_armature(place.value("ratio") * inertia)
 
 
-def _mass(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffect) -> str | None:
-    ratio, names = _value(item, "ratio"), []
-    for body in moved_bodies(model, drive.joint):
+def _mass(place: Place) -> str | None:
+    model, ratio, names = place.model, place.value("ratio"), []
+    for body in moved_bodies(model, place.drive.joint):
         if model.body_mass[body] > 0.0:
-            own = spec.bodies[body]
+            own = place.spec.bodies[body]
             own.explicitinertial, own.mass = True, ratio * float(model.body_mass[body])
             own.ipos, own.iquat = np.array(model.body_ipos[body]), np.array(model.body_iquat[body])
             own.inertia, own.fullinertia = ratio * np.array(model.body_inertia[body]), np.full(6, np.nan)
@@ -190,7 +216,7 @@ def _mass(spec: Any, model: Any, machine: Machine, drive: Drive, item: KnownEffe
 def _payload(spec: Any, machine: Machine, item: KnownEffect) -> str | None:
     sites = {site.name: site for site in spec.sites}
     bodies = {body.name: body for body in spec.bodies}
-    mass, centre = _value(item, "mass"), np.asarray(item.parameters["centre"], dtype=np.float64)
+    mass, centre = value_of(item, "mass"), np.asarray(item.parameters["centre"], dtype=np.float64)
     tip = machine.tip or ""
     if tip in sites:
         site = sites[tip]
@@ -204,8 +230,8 @@ def _payload(spec: Any, machine: Machine, item: KnownEffect) -> str | None:
     return f'body payload: mass="{mass:.6g}"'
 
 
-#: Effect → writer of its place at a force axis: ``writer(spec, model, machine, drive, effect)``; None where it has none.
-FORCE_WRITERS: Mapping[str, Callable[[Any, Any, Machine, Drive, KnownEffect], str | None]] = {
+#: Effect → writer of its place at a force axis.
+FORCE_WRITERS: Mapping[str, Writer] = {
     "viscous_friction": _damping,
     "coulomb_friction": _friction,
     "load_bias": _bias,
@@ -253,7 +279,7 @@ def in_command_units(plant: Plant, adjusted: Sequence[KnownEffect]) -> Plant:
         plant: of the written model, loaded again; ``adjusted``: the :data:`ADJUSTED` effects in it.
     """
     for item in adjusted:
-        scale = _value(item, "scale")
+        scale = value_of(item, "scale")
         for own in [e for e in plant.effects if e.target == item.target and e.name in FORCES]:
             plant = plant.with_effect(replace(own, parameters={key: scale * float(v) for key, v in own.parameters.items()}))  # type: ignore[arg-type]
         axis = plant.machine.axis(item.target)
@@ -315,7 +341,7 @@ def _place(model: Any, drive: Drive, item: KnownEffect) -> str:
     if item.name == ADJUSTED:
         places.append(f"armature of joint {joint}")
         if item.parameters["scale"] != 1.0:
-            places.append(f"gain of its actuator divided by {_value(item, 'scale'):.6g}")
+            places.append(f"gain of its actuator divided by {value_of(item, 'scale'):.6g}")
     return ", ".join(places)
 
 
@@ -335,7 +361,7 @@ def _both_ways(item: KnownEffect, key: str) -> float | None:
     return values.pop() if len(values) == 1 else None
 
 
-def _value(item: KnownEffect, key: str) -> float:
+def value_of(item: KnownEffect, key: str) -> float:
     return float(np.asarray(item.parameters[key]))
 
 

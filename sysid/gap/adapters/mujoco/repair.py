@@ -26,8 +26,8 @@ from sysid.effects import effect_named, input_delay
 from sysid.errors import InputError, SettingsError
 from sysid.files import written_whole
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
-from sysid.gap.adapters.mujoco.native import Change, write_native
-from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
+from sysid.gap.adapters.mujoco.native import Change, value_of, write_native
+from sysid.gap.adapters.mujoco.simulator import MujocoSimulator
 from sysid.gap.disagreement import run_rmse
 from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
@@ -123,13 +123,18 @@ def repaired_effects(adapter: SimulatorAdapter, written: Sequence[WrittenEffect]
     effects, simulator = {effect_key(item): item for item in adapter.effects}, _simulator(adapter)
     step = float(load_mjcf(simulator.path, simulator.assets).opt.timestep)
     for row in written:
-        parameters = dict(row.parameters)
+        item = known_effect(row)
         if row.name == input_delay.EFFECT.name and "delay" in row.interval95:
             low, high = (float(np.asarray(end)) for end in row.interval95["delay"])
-            parameters["delay"] = step if low <= step <= high and parameters["delay"] < step else parameters["delay"]
-        item = KnownEffect(row.name, row.target, parameters, row.side)  # type: ignore[arg-type]
+            if low <= step <= high and value_of(item, "delay") < step:
+                item = replace(item, parameters={**item.parameters, "delay": step})
         effects[effect_key(item)] = item
     return tuple(item for item in effects.values() if not _is_absent(item))
+
+
+def known_effect(row: WrittenEffect) -> KnownEffect:
+    """A written effect as an effect of a plant."""
+    return KnownEffect(row.name, row.target, dict(row.parameters), row.side)  # type: ignore[arg-type]
 
 
 def _simulator(adapter: SimulatorAdapter) -> MujocoSimulator:
@@ -164,7 +169,7 @@ def write_repaired(
         native, beside = _write(simulator, effects, out)
     loaded = open_mujoco(out, dataset, _folders(simulator))
     measured = run_rmse([(recording, loaded.simulate(recording)) for recording in split_of(dataset).held_out])
-    gap = replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
+    gap = measured_gap(promised, measured)
     check_gap(gap, promised, out)
     return RepairedModel(out, side_file(out) if beside else None, tuple(native), tuple(beside), gap)
 
@@ -172,7 +177,7 @@ def write_repaired(
 def _write(simulator: MujocoSimulator, effects: Sequence[KnownEffect], out: Path) -> tuple[list[Change], list[KnownEffect]]:
     """Write the model and the file beside it; what went where."""
     spec, model = load_spec(simulator.path, simulator.assets), load_mjcf(simulator.path, simulator.assets)
-    native, beside = write_native(spec, drives_of(model, simulator.machine, simulator.name), effects)
+    native, beside = write_native(spec, model, simulator.machine, effects, simulator.name)
     relocate(spec, simulator.path, out)
     write_spec(spec, out)
     write_side_file(out, beside)
@@ -185,7 +190,7 @@ def _fitted_in_place(
     """The native effects with the values that fit best inside the model."""
     places = [(k, name) for k, item in enumerate(native) for name in item.parameters]
     parameters = [_parameter(native[k].name, name) for k, name in places]
-    start = np.array([float(native[k].parameters[name]) for k, name in places])  # type: ignore[arg-type]
+    start = np.array([value_of(native[k], name) for k, name in places])
     scale = np.array([parameter.negligible for parameter in parameters])
     low, high = (np.array([parameter.bounds[end] for parameter in parameters]) for end in (0, 1))
     noise, recordings = noise_levels(dataset), split_of(dataset).seen
@@ -255,6 +260,11 @@ def relocate(spec: Any, source: Path, out: Path) -> None:
     for key in ("meshdir", "texturedir"):
         folder = source.parent / str(getattr(spec, key) or "")
         setattr(spec, key, os.path.relpath(folder.resolve(), out.parent.resolve()))
+
+
+def measured_gap(promised: Gap, measured: Mapping[str, float]) -> Gap:
+    """The promised gap with the errors that the loaded model has."""
+    return replace(promised, after={signal: measured[signal] for signal in promised.after if signal in measured})
 
 
 def check_gap(gap: Gap, promised: Gap, out: Path) -> None:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +20,13 @@ import numpy.typing as npt
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import effect_named
 from sysid.gap.adapters.mujoco.force_repair import machine_of
-from sysid.gap.adapters.mujoco.native import LINEAR, Change, joint_armature, write_inside
+from sysid.gap.adapters.mujoco.native import LINEAR, Change, Place, write_inside
 from sysid.gap.adapters.mujoco.repair import (
     RepairedModel,
     check_gap,
     check_other_file,
+    known_effect,
+    measured_gap,
     open_mujoco,
     read_side_file,
     relocate,
@@ -32,13 +34,12 @@ from sysid.gap.adapters.mujoco.repair import (
     write_side_file,
     write_spec,
 )
-from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of, gear_of
+from sysid.gap.adapters.mujoco.simulator import MujocoSimulator, drives_of
 from sysid.gap.disagreement import run_rmse
 from sysid.gap.prepare.noise import noise_levels
 from sysid.gap.problem import split_of
 from sysid.gap.result import GapResult
 from sysid.machine import EffectKey, KnownEffect, Machine
-from sysid.machine.sources.mjcf_actuator import Drive
 from sysid.machine.sources.mjcf_model import load_mjcf, load_spec, mujoco_library
 from sysid.names import listed
 from sysid.plant import Plant, chain, compile_plant, free_run, nominal_plant
@@ -59,18 +60,8 @@ def has_servos(machine: Machine) -> bool:
     return all(axis.servo is not None for axis in machine.axes)
 
 
-@dataclass(frozen=True)
-class Differs:
-    """Why the plant cannot stand for a model."""
-
-    why: str
-
-
-def open_servo_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> Plant | Differs:
-    """The plant of a model whose axes are all servos, with the effects in the file beside it.
-
-    Args:
-        assets: further folders below which the model may open files.
+def open_servo_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) -> Plant | str:
+    """The plant of a model whose axes are all servos, with the effects in the file beside it; else why it cannot stand for it.
 
     Raises:
         InputError: not a file that MuJoCo compiles, or it is unstable.
@@ -78,7 +69,7 @@ def open_servo_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) 
     """
     machine = machine_of(path, dataset.machine, assets)
     if not has_servos(machine):
-        return Differs(f"{listed([axis.name for axis in machine.axes if axis.servo is None])} is no servo of machine.toml")
+        return f"{listed([axis.name for axis in machine.axes if axis.servo is None])} is no servo of machine.toml"
     plant = nominal_plant(machine, streams=dataset.streams)
     simulator, noise = MujocoSimulator(path, machine, tuple(assets)), noise_levels(dataset)
     own = replace(plant, machine=replace(machine, convention=None))
@@ -88,7 +79,7 @@ def open_servo_model(path: Path, dataset: Dataset, assets: Sequence[Path] = ()) 
             apart, size = _rms(ours[axis.driven] - theirs[axis.driven]), float(np.nanstd(theirs[axis.driven]))
             if apart > max(ALIKE * size, noise.get(axis.driven, 0.0)):
                 unit = dataset.units.get(axis.driven, "")
-                return Differs(
+                return (
                     f"in {recording.name} the motion of {axis.name} differs by {apart:.3g} {unit} from that of its controller, "
                     "masses and friction (springs, contacts, …)"
                 )
@@ -106,16 +97,14 @@ def write_servo_model(
 ) -> RepairedModel:
     """Write the effects of a result into a copy of ``model``, load it again and measure its gap with MuJoCo.
 
-    Args:
-        tested: the plant of the model (:func:`open_servo_model`).
-        assets: further folders below which the model may open files.
+    ``tested``: of :func:`open_servo_model`.
 
     Raises:
         InputError: MuJoCo refuses the written model, or its error is larger than that of the repaired plant.
         SettingsError: ``out`` is the model itself.
     """
     check_other_file(model, out)
-    plant, items = tested, [KnownEffect(row.name, row.target, dict(row.parameters), row.side) for row in result.written]  # type: ignore[arg-type]
+    plant, items = tested, [known_effect(row) for row in result.written]
     for item in items:
         plant = plant.with_effect(item)
     spec, compiled = load_spec(model, assets), load_mjcf(model, assets)
@@ -129,8 +118,7 @@ def write_servo_model(
     convention = result.order.convention if result.order is not None else dataset.machine.convention
     machine = replace(tested.machine, convention=convention)
     held_out = [(recording, loaded.simulate(_as_taken(machine, recording))) for recording in split_of(dataset).held_out]
-    measured = run_rmse(held_out)
-    gap = replace(result.gap, after={signal: measured[signal] for signal in result.gap.after if signal in measured})
+    gap = measured_gap(result.gap, run_rmse(held_out))
     if not inside:
         check_gap(gap, result.gap, out)
     reasons: dict[EffectKey, str] = {effect_key(item): NO_PLACE for item in inside}
@@ -162,8 +150,8 @@ def write_servos(
         place = None
         if item.name in PLACES and item.target in drives:
             i, drive = compiled.axis_index(item.target), drives[item.target]
-            kp, kv, low, high, armature = map(float, chain.servo_law.py_func(compiled.theta, compiled.arrays.axes, i))
-            place = PLACES[item.name](_Place(spec, model, drive, kp, kv, low, high, armature, item))
+            law = _Law(*map(float, chain.servo_law.py_func(compiled.theta, compiled.arrays.axes, i)))
+            place = PLACES[item.name](Place(spec, model, plant.machine, drive, item), law)
         if place is not None:
             places[effect_key(item)] = place
             continue
@@ -174,70 +162,42 @@ def write_servos(
     return [changes[effect_key(item)] for item in effects if effect_key(item) in changes], left
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where the effects of a controller go, and the values of the axis in units of its joint."""
+class _Law(NamedTuple):
+    """Gains, limits of the force and armature of a servo, in units of its joint."""
 
-    spec: Any
-    model: Any
-    drive: Drive
     kp: float
     kv: float
     low: float
     high: float
     armature: float
-    item: KnownEffect
-
-    @property
-    def actuator(self) -> Any:
-        return self.spec.actuators[self.drive.actuator]
-
-    @property
-    def joint(self) -> Any:
-        return self.spec.joints[self.drive.joint]
-
-    @property
-    def gear(self) -> float:
-        return gear_of(self.model, self.drive.actuator)
-
-    @property
-    def name(self) -> str:
-        return f"actuator {self.actuator.name or self.drive.actuator}"
-
-    def value(self, key: str) -> float:
-        return float(np.asarray(self.item.parameters[key]))
 
 
-def _gains(place: _Place) -> str | None:
-    mujoco, actuator = mujoco_library(), place.actuator
+def _gains(place: Place, law: _Law) -> str | None:
+    mujoco, actuator, square = mujoco_library(), place.actuator, place.gear**2
     if int(place.model.actuator_gaintype[place.drive.actuator]) != int(mujoco.mjtGain.mjGAIN_FIXED):
         return None
     # All three, from the compiled model: in a file, a damping ratio depends on the stiffness.
-    actuator.gainprm[0] = place.kp / place.drive.stiffness * float(place.model.actuator_gainprm[place.drive.actuator, 0])
-    actuator.biasprm[1], actuator.biasprm[2] = -place.kp / place.gear**2, -place.kv / place.gear**2
-    return f'{place.name}: kp="{place.kp / place.gear**2:.6g}" kv="{place.kv / place.gear**2:.6g}"'
+    actuator.gainprm[0] = law.kp / place.drive.stiffness * float(place.model.actuator_gainprm[place.drive.actuator, 0])
+    actuator.biasprm[1], actuator.biasprm[2] = -law.kp / square, -law.kv / square
+    return f'actuator {place.name}: kp="{law.kp / square:.6g}" kv="{law.kv / square:.6g}"'
 
 
-def _limit(place: _Place) -> str | None:
-    ends = place.low, place.high
+def _limit(place: Place, law: _Law) -> str | None:
+    ends = law.low, law.high
     if not all(map(math.isfinite, ends)):
         return None
     low, high = sorted(end / place.gear for end in ends)
     place.actuator.forcerange, place.actuator.forcelimited = [low, high], mujoco_library().mjtLimited.mjLIMITED_TRUE
     if place.model.jnt_actfrclimited[place.drive.joint]:
         place.joint.actfrcrange = ends
-    return f'{place.name}: forcerange="{low:.6g} {high:.6g}"'
+    return f'actuator {place.name}: forcerange="{low:.6g} {high:.6g}"'
 
 
-def _armature(place: _Place) -> str | None:
-    value = joint_armature(place.model, place.drive, place.armature)
-    if value < 0.0:
-        return None
-    place.joint.armature = value
-    return f'joint {place.joint.name}: armature="{value:.6g}"'
+def _armature(place: Place, law: _Law) -> str | None:
+    return place.with_armature(law.armature)
 
 
-def _delay(place: _Place) -> str | None:
+def _delay(place: Place, _: _Law) -> str | None:
     step, delay = float(place.model.opt.timestep), place.value("delay")
     late = round(delay / step)
     if abs(late * step - delay) < 1e-9:
@@ -245,18 +205,18 @@ def _delay(place: _Place) -> str | None:
     else:
         place.actuator.interp = LINEAR
     place.actuator.delay, place.actuator.nsample = delay, max(int(place.actuator.nsample), math.ceil(delay / step) + 2)
-    return f'{place.name}: delay="{delay:.6g}"'
+    return f'actuator {place.name}: delay="{delay:.6g}"'
 
 
-def _lag(place: _Place) -> str | None:
+def _lag(place: Place, _: _Law) -> str | None:
     dyns, actuator = mujoco_library().mjtDyn, place.actuator
     time = place.value("time_constant")
     actuator.dyntype, actuator.dynprm[0] = dyns.mjDYN_FILTEREXACT if time > 0.0 else dyns.mjDYN_NONE, time
-    return f'{place.name}: dyntype="filterexact" dynprm="{time:.6g}"'
+    return f'actuator {place.name}: dyntype="filterexact" dynprm="{time:.6g}"'
 
 
 #: Effect of a controller → writer of its place; None where the model has none.
-PLACES: Mapping[str, Callable[[_Place], str | None]] = {
+PLACES: Mapping[str, Callable[[Place, _Law], str | None]] = {
     "stiffness_error": _gains,
     "damping_error": _gains,
     "force_limit": _limit,

@@ -11,11 +11,11 @@ from compared_models import decided
 from sagging_servo import AXES, DELAY, LAG, NOISE, Servos, machine_files, recording
 
 from sysid.datasets.recording import Recording
+from sysid.gap.arm.sag import StaticError, fewest_sets, load_known, static_error
 from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.problem import drive_problem
 from sysid.gap.reasons import Reason
-from sysid.gap.servo.sag import StaticError, fewest_sets, load_known, static_error
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import compile_plant, nominal_plant
 

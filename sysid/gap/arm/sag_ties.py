@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from sysid.effects import joint_compliance, sensor_bias
+from sysid.gap.arm.sag import AT_REST, OF_SENSOR, StaticError, load_known, static_error
 from sysid.gap.comparison import equivalent_change
 from sysid.gap.fit import place
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.reasons import Reason
-from sysid.gap.servo.sag import AT_REST, OF_SENSOR, StaticError, load_known, static_error
 from sysid.gap.thresholds import STANDARD_ERRORS
 from sysid.plant import compile_plant, gravity_load
 

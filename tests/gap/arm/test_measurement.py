@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sysid.gap import GapResult, find_gap
-from sysid.gap.poses.rows import PoseRows
-from sysid.gap.poses.stage import fit_pose_stage
+from sysid.gap.arm.pose_rows import PoseRows
+from sysid.gap.arm.pose_stage import fit_pose_stage
 from sysid.gap.prepare.case import open_case, stage_candidates
 from sysid.plant import compile_plant, nominal_plant
 from tests.helpers.pose_sets import Arm, Hidden, dataset_of, pose_set

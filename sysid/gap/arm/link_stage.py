@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.effects import inertial_error
-from sysid.gap.arm.forces import CONSTANT, FRICTION, without
-from sysid.gap.arm.rows import (
+from sysid.gap.arm.effect_sets import GAIN, Index, Set, densities_of_blocks, gain_of_errors, places, unknowns_of
+from sysid.gap.arm.forces import CONSTANT, FRICTION, fitted, without
+from sysid.gap.arm.link_rows import (
     FORCE_CONSTANT,
     ROTOR,
     AxisRows,
@@ -31,7 +32,6 @@ from sysid.gap.arm.rows import (
     inefficiency,
     linearised,
     link_errors,
-    places,
     plausible,
     to_linear,
     with_carried,
@@ -39,7 +39,6 @@ from sysid.gap.arm.rows import (
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, NearMiss
 from sysid.gap.fit import place
-from sysid.gap.likelihood.block_products import block_products, predictive_densities
 from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Posterior, Sizes
 from sysid.gap.likelihood.stage import ModelFit, Prior, prior_of
@@ -62,9 +61,6 @@ ROUNDS = 3
 #: Regressions at most about the result of the last one, and change of the torques [share] that ends them: with force constants
 #: a tenth off, a hundredth changes their product by a thousandth.
 STEPS, SETTLED = 8, 0.01
-#: Least gain in evidence of an exchange [nats].
-GAIN = 1e-6
-Set = frozenset[int]
 
 
 def fit_links_stage(
@@ -191,9 +187,13 @@ class _Whole:
                 independent[j] = len(axis.target) / factor
         return independent
 
-    def unknowns_of(self, members: Set) -> npt.NDArray[np.intp]:
-        """Indices of the linear coordinates of a set, candidate by candidate in ascending order."""
-        return np.concatenate([np.empty(0, dtype=np.intp), *(self.places[k] for k in sorted(members))])
+    def unknowns_of(self, members: Set) -> Index:
+        """Indices of the linear coordinates of a set."""
+        return unknowns_of(self.places, members)
+
+    def under(self, members: Set) -> GaussianRegression:
+        """The regression under the sizes that are most likely beside a set."""
+        return self.regression.under(self.sizes(members))
 
     def sizes(self, members: Set) -> Sizes:
         """Most likely sizes of the small errors beside a set of effects."""
@@ -203,8 +203,7 @@ class _Whole:
 
     def posterior(self, members: Set) -> Posterior:
         if members not in self._posteriors:
-            regression = self.regression.under(self.sizes(members))
-            self._posteriors[members] = regression.posterior(self.unknowns_of(members))
+            self._posteriors[members] = self.under(members).posterior(self.unknowns_of(members))
         return self._posteriors[members]
 
     def evidence(self, members: Set) -> float:
@@ -262,10 +261,7 @@ class _Whole:
         values, slope = np.empty(len(at)), np.zeros((len(at), len(at)))
         for candidate, here in zip(chosen, places(chosen), strict=True):
             values[here], slope[np.ix_(here, here)] = from_linear(candidate, linear[here])
-        effects, tau = self.regression.columns[:, at], sizes.tau[self.kind]
-        table = np.hstack([self.regression.errors * tau, effects * self.prior.width[at]]) / sizes.noise
-        block = np.concatenate([axis.block for axis in self.rows])
-        products = block_products(table, self.regression.target / sizes.noise, block, int(block.max(initial=0)) + 1)
+        effects, block = self.regression.columns[:, at], np.concatenate([axis.block for axis in self.rows])
         residual = self.regression.target - effects @ change - self.regression.errors @ errors
         left = float(np.sqrt(residual @ residual / self.count))
         return ModelFit(
@@ -276,7 +272,7 @@ class _Whole:
             covariance=slope @ posterior.covariance @ slope.T,
             confounded=np.zeros(len(at)),
             evidence=self.evidence(members),
-            predictive=predictive_densities(products, products.right.sum(axis=0), products.information),
+            predictive=densities_of_blocks(self.under(members), at, block, int(block.max(initial=0)) + 1),
             rms=left / sizes.noise,
             response=np.abs(np.sqrt((effects**2).sum(axis=0) / self.count) @ np.linalg.inv(slope)),
             left=left,
@@ -302,23 +298,12 @@ class _Whole:
             theta[first] += rotor * (stated or 0.0) * theta[block + AT.inertia_error]
             if stated is None:
                 left = axis.target - axis.links @ whole - scale * axis.carried
-                size = np.maximum(np.linalg.norm(axis.friction, axis=0), 1e-12)
-                theta[first] += (np.linalg.lstsq(axis.friction / size, left, rcond=1e-9)[0] / size)[-1]
+                theta[first] += fitted(axis.friction, left)[0][-1]
         return theta
 
     def needed(self, members: Set) -> float:
-        """Gain in evidence by the small errors, with the noise that is most likely without them [nats]."""
-        at = self.unknowns_of(members)
-        alone = replace(
-            self.regression,
-            errors=np.empty((len(self.regression.target), 0)),
-            kind=np.empty(0, dtype=np.int64),
-            sizes=Sizes(np.empty(0), self.sizes(members).noise),
-            expected=np.empty(0),
-            spread=np.empty(0),
-        )
-        alone = alone.under(alone.with_sizes(at))
-        return self.posterior(members).evidence - alone.posterior(at).evidence
+        """Gain in evidence by the small errors [nats]."""
+        return gain_of_errors(self.under(members), self.unknowns_of(members))
 
 
 def _likeliest(whole: _Whole, on_fit: Callable[[str], None]) -> Set:

@@ -15,27 +15,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.gap.arm.effect_sets import GAIN, Index, Set, densities_of_blocks, gain_of_errors, places, unknowns_of
+from sysid.gap.arm.pose_rows import PoseRows
 from sysid.gap.candidates import Candidate
 from sysid.gap.decision import Decision, FreeRun, decide
 from sysid.gap.fit import place
-from sysid.gap.likelihood.block_products import block_products, predictive_densities
 from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.gaussian_regression import NOISE_SPREAD, UNDETERMINED, GaussianRegression, Posterior, Sizes
 from sysid.gap.likelihood.stage import ModelFit, prior_of
-from sysid.gap.poses.rows import PoseRows
 from sysid.gap.problem import Problem
 from sysid.gap.stage_model import StageFit
 from sysid.gap.thresholds import LEAST
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
-Set = frozenset[int]
 
 #: Targets of effects of the measurement, with which every search begins: its frame, and the measured point where it is not
 #: surveyed. Other effects of the stage belong to an axis or a sensor.
@@ -48,8 +46,6 @@ NEIGHBOURS = 40
 ROWS_PER_UNKNOWN = 3
 #: Exchanges, additions and drops at most; each raises the evidence.
 MOST_STEPS = 200
-#: Least gain in evidence of a step [nats].
-GAIN = 1e-6
 #: Members of a combination below this weight are left out of its sentence; largest number of members that make a sentence.
 LEAST_WEIGHT, MOST_MEMBERS = 0.3, 4
 #: Iterations of the rotation.
@@ -89,12 +85,11 @@ class SetSearch:
     known: dict[Set, Posterior] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        ends = np.cumsum([0, *(len(c.unknowns) for c in self.candidates)])
-        self._places = [np.arange(first, end, dtype=np.intp) for first, end in pairwise(ends)]
+        self._places = places(self.candidates)
 
-    def unknowns(self, members: Set) -> npt.NDArray[np.intp]:
-        """Indices of the unknowns of a set, candidate by candidate in ascending order."""
-        return np.concatenate([np.empty(0, dtype=np.intp), *(self._places[k] for k in sorted(members))])
+    def unknowns(self, members: Set) -> Index:
+        """Indices of the unknowns of a set."""
+        return unknowns_of(self._places, members)
 
     def posterior(self, members: Set) -> Posterior:
         if members not in self.known:
@@ -252,10 +247,7 @@ class _Fitting:
         regression, at, found = search.regression, search.unknowns(members), search.posterior(members)
         unknowns = tuple(self.unknowns[k] for k in at)
         values = np.clip(regression.nominal[at] + found.change, regression.prior.low[at], regression.prior.high[at])
-        noise, tau = regression.sizes.noise, regression.sizes.tau[regression.kind]
         effects = regression.columns[:, at]
-        table = np.hstack([regression.errors * tau, effects * regression.prior.width[at]]) / noise
-        products = block_products(table, regression.target / noise, self.rows.block, self.rows.blocks)
         residual, count = self.residual(search, members), max(regression.rows, 1)
         left = float(np.sqrt(residual @ residual / count))
         return ModelFit(
@@ -266,8 +258,8 @@ class _Fitting:
             covariance=found.covariance,
             confounded=np.zeros(len(at)),  # the covariance contains what the errors of the arm could do in its place
             evidence=found.evidence,
-            predictive=predictive_densities(products, products.right.sum(axis=0), products.information),
-            rms=left / noise,
+            predictive=densities_of_blocks(regression, at, self.rows.block, self.rows.blocks),
+            rms=left / regression.sizes.noise,
             response=np.sqrt(((effects / self._by_row[:, None]) ** 2).sum(axis=0) / count),
             left=left,
         )
@@ -304,23 +296,14 @@ class _Sets:
         return model.evidence
 
     def discrepancy_gain(self, model: ModelFit) -> float:
-        """Gain in evidence by the errors of the arm, with the noise that is most likely without them.
+        """Gain in evidence by the errors of the arm.
 
         Poses that scatter by more than their noise can are wrong by something else, whether these errors describe it or not.
         """
         regression = self.search.regression
         if regression.sizes.noise > np.exp(2.0 * NOISE_SPREAD):
             return float(np.inf)
-        members = self.members_of(model)
-        at, rows = self.search.unknowns(members), len(regression.target)
-        alone = replace(
-            regression,
-            errors=np.empty((rows, 0)),
-            kind=np.empty(0, dtype=np.int64),
-            sizes=Sizes(np.empty(0), regression.sizes.noise),
-        )
-        alone = alone.under(alone.with_sizes(at))
-        return self.search.posterior(members).evidence - alone.posterior(at).evidence
+        return gain_of_errors(regression, self.search.unknowns(self.members_of(model)))
 
     def without(self, model: ModelFit, candidate: Candidate) -> ModelFit:
         return self.model_of(frozenset(k for k in self.members_of(model) if self.search.candidates[k].label != candidate.label))

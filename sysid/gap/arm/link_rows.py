@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -248,9 +247,3 @@ def _point(rigid: RigidBody, mass: float, first_moment: Array) -> Array:
     return np.array(
         [mass, *(moment + mass * at), *(inertia[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
     )
-
-
-def places(candidates: Sequence[Candidate]) -> list[npt.NDArray[np.intp]]:
-    """Indices of the unknowns of each candidate among those of all."""
-    ends = np.cumsum([0, *(len(c.unknowns) for c in candidates)])
-    return [np.arange(a, b, dtype=np.intp) for a, b in pairwise(ends)]

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.errors import ExcitationError
 from sysid.gap import GapResult, find_gap
-from sysid.gap.poses.folds import dealt
+from sysid.gap.arm.pose_folds import dealt
 from sysid.gap.prepare.case import held_out_of, open_case
 from sysid.gap.stages import search_stages
 from sysid.plant import nominal_plant

@@ -10,8 +10,8 @@ import pytest
 
 from sysid.datasets import Dataset, Recording
 from sysid.gap import find_gap, steps
+from sysid.gap.arm.sag_ties import sag_replaces
 from sysid.gap.fit import Fit
-from sysid.gap.servo.ties import sag_replaces
 from sysid.gap.stage_result import StageResult
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import nominal_plant
