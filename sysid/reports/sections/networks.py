@@ -58,7 +58,6 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
         "model": report.model,
         "about": ABOUT[report.kind],
         "recommendation": report.recommendation,
-        "role": {"held_out": "held-out", "select": "selection", "fit": "fit"}[report.role],
         "paper": paper is not None,
         "figures": Table(header, rows, (*range(2, 6 + len(beside)), 7 + len(beside))),
         "round_trips": [
