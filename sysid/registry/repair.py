@@ -18,7 +18,7 @@ from pathlib import Path
 from sysid.errors import StoreError
 from sysid.files import on_disk, written_whole
 from sysid.registry.client import disk_errors, exclusive, locked
-from sysid.registry.entries import broken_model, broken_version, changed, is_sealed, sealed, sealed_aliases
+from sysid.registry.entries import broken_model, broken_version, changed, sealed, sealed_aliases
 from sysid.registry.schema import clear_drafts, empty_registry, migrate, missing, revision
 from sysid.registry.stored import (
     DECISION,
@@ -202,7 +202,7 @@ def _manifest(root: Root, digest: str) -> str | None:
 
 
 def _without_record(workspace: Path, models: Mapping[str, StoredModel]) -> list[str]:
-    """Messages about model files without row and record, from earlier releases."""
+    """Messages about model files without row and record."""
     known = {version.tags[DIGEST] for model in models.values() for version in model.own}
     root = Root(workspace)
     digests = [digest for digest in root.entries("models") if not digest.startswith(".")]
@@ -244,15 +244,12 @@ def _repair_seals(
     """Restore what was changed by hand in one model, or accept it."""
     wrong = [version for version in model.own if broken_version(model, version) is not None]
     broken = broken_model(model)
-    if not model.own or (is_sealed(model) and not wrong and broken is None):
+    if not model.own or (not wrong and broken is None):
         return
 
     def build(now: StoredModel) -> ModelChange:
-        everything: dict[int, dict[str, str | None]] = {version.number: {} for version in now.own}
-        if not is_sealed(now):
-            done.append(f"{now.name}: sealed; it was registered by an earlier release without seals.")
-            return sealed(now, ModelChange(version_tags=everything), aliases=True)
         if accept:
+            everything: dict[int, dict[str, str | None]] = {version.number: {} for version in now.own}
             done.append(f"{now.name}: accepted and sealed ({broken or f'{len(wrong)} changed versions'}).")
             return sealed(now, ModelChange(version_tags=everything), aliases=True)
         return _restored(now, records.get(now.name, ()), done, left)
