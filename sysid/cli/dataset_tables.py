@@ -128,10 +128,9 @@ def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> 
         for request in found.requests:
             out.entry(request_text(request, dataset.machine), "  → ")
         out.line()
-    if ready:
-        firsts = [(group, group.verdicts[0]) for group in by_effect(ready, dataset.machine)]
-        lines = [(group.title, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
-        out.table(("ready", "where", "have", "need", "of what"), lines, right=(2, 3))
+    firsts = [(group, group.verdicts[0]) for group in by_effect(ready, dataset.machine)]
+    lines = [(group.title, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
+    out.table(("ready", "where", "have", "need", "of what"), lines, right=(2, 3))
     for reason, groups in by_reason(hidden, dataset.machine):
         out.entry(f"cannot be shown: {reason}")
         for group in groups:
@@ -291,13 +290,12 @@ def _show_recordings(out: Printer, found: SplitSuggestion) -> None:
     from sysid.datasets.checks.roles import ROLE_NAMES
 
     changed = {**dict.fromkeys(found.cut, "cut"), **{name: ROLE_NAMES[role] for name, role in found.changed.items()}}
-    if changed:
-        rows = [
-            (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present.roles[name]], changed[name])
-            for name in found.present.roles
-            if name in changed
-        ]
-        out.table(("recording", "length", "now", "suggested"), rows, right=(1,))
+    rows = [
+        (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present.roles[name]], changed[name])
+        for name in found.present.roles
+        if name in changed
+    ]
+    out.table(("recording", "length", "now", "suggested"), rows, right=(1,))
 
 
 def _show_lacks(out: Printer, title: str, lacks: Sequence[Lack], *, record: bool = False) -> None:

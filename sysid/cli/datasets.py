@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.dataset_tables import show_dataset
-from sysid.cli.output import Printer, json_option, long_arrays_beside, write_json
+from sysid.cli.output import PATH, Printer, json_option, long_arrays_beside, write_json
 from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def split(
 @datasets.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
 @click.argument("folder", metavar="FOLDER", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--out", required=True, metavar="DIR", type=click.Path(path_type=Path), help="A new folder.")
+@click.option("--out", required=True, metavar="DIR", type=PATH, help="A new folder.")
 @json_option
 @click.pass_obj
 def shift(location: str, reference: str, folder: Path, out: Path, json_file: str | None) -> None:
@@ -207,7 +207,7 @@ def lineage(location: str, reference: str, json_file: str | None) -> None:
 
 @datasets.command()
 @click.argument("references", metavar="[NAME[@VERSION]]…", nargs=-1)
-@click.option("--keep", type=int, default=None, metavar="N", help="Remove all but the newest N versions of each dataset.")
+@click.option("--keep", type=int, metavar="N", help="Remove all but the newest N versions of each dataset.")
 @click.option("--dry-run", is_flag=True, help="Only list what would be removed.")
 @click.option("--yes", is_flag=True, help="Remove it. Not needed if versions are named.")
 @json_option

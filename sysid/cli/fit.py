@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.network_tables import show_calibration, show_coverage, show_directions, show_errors
-from sysid.cli.output import Printer, cluster_option, json_option, progress_bar, workers_option, write_json
+from sysid.cli.output import PATH, Printer, cluster_option, json_option, progress_bar, workers_option, write_json
 
 if TYPE_CHECKING:
     from sysid.front.networks import FittedNetwork, Kind
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("kind", type=click.Choice(["actuator", "motion", "forward"]))
 @click.argument("references", nargs=-1, required=True, metavar="NAME[@VERSION]…")
-@click.option(
-    "--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Keys that differ from the default."
-)
+@click.option("--recipe", type=PATH, metavar="R.toml", help="Keys that differ from the default.")
 @workers_option
 @cluster_option("For several datasets: address of a Dask scheduler, as tcp://HOST:PORT.")
 @json_option

@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from sysid.cli.gap_tables import show_gap, show_localised, show_missing, show_repair, show_responses, show_world
-from sysid.cli.output import Printer, cluster_option, command, json_option, progress_bar, workers_option, write_json
+from sysid.cli.output import (
+    FILE,
+    FOLDER,
+    Printer,
+    cluster_option,
+    command,
+    json_option,
+    progress_bar,
+    workers_option,
+    write_json,
+)
 from sysid.errors import InputError, SettingsError, nearest
 
 if TYPE_CHECKING:
@@ -172,10 +182,9 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
+@click.option("--plant", metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
 @click.option(
     "--simulator",
-    default=None,
     metavar="FILE.py:NAME|mujoco:FILE.xml",
     help="Test a simulator of your own: an object with simulate(recording), or its class; or a MuJoCo model.",
 )
@@ -183,15 +192,14 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     "--assets",
     multiple=True,
     metavar="DIR",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="With --simulator mujoco:FILE.xml: a folder outside of the model's below which it may open files; may be repeated.",
 )
 @click.option(
     "--out",
     "out_file",
-    default=None,
     metavar="FILE.xml",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="With --simulator mujoco:FILE.xml: write the repaired model here. --add: beside the model, as FILE.repaired.xml.",
 )
 @click.option("--localise", is_flag=True, help="Only locate the gap.")
@@ -200,9 +208,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 )
 @click.option("--world/--no-world", default=None, help="Run the proof also in the PyBullet world. Default: only with --add.")
 @click.option(
-    "--carry",
-    is_flag=True,
-    help="Fit a bounded residual network to unnamed errors, where it lowers held-out errors.",
+    "--carry", is_flag=True, help="Fit a bounded residual network to unnamed errors, where it lowers held-out errors."
 )
 @click.option(
     "--forms",
@@ -216,7 +222,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     metavar="KEY",
     help="Continue although this is implausible: the key of a severe finding, or a glob such as 'boom.*'; may be repeated.",
 )
-@click.option("--card", default=None, metavar="NAME", help="Compare with the card of an actuator: sysid actuators.")
+@click.option("--card", metavar="NAME", help="Compare with the card of an actuator: sysid actuators.")
 @workers_option
 @cluster_option()
 @click.option("--verbose", is_flag=True, help="Every near miss and next step, at full length.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.dataset_tables import show_dataset
-from sysid.cli.output import Printer, cluster_option, command, json_option, workers_option, write_json
+from sysid.cli.output import PATH, Printer, cluster_option, command, json_option, workers_option, write_json
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -17,22 +17,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("paths", metavar="PATH…", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--machine", type=click.Path(path_type=Path), default=None, metavar="machine.toml", help="The machine.")
-@click.option("--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Which field is which signal.")
-@click.option("--name", default=None, help="Name of the dataset; else the recipe's, else the machine's.")
-@click.option(
-    "--append", "to", default=None, metavar="NAME[@VERSION]", help="Only read recordings that NAME does not hold, and add them."
-)
-@click.option(
-    "--role", default=None, metavar="fit|select|held_out", help="With --append: role of the new recordings; else the recipe's."
-)
+@click.argument("paths", metavar="PATH…", nargs=-1, required=True, type=PATH)
+@click.option("--machine", type=PATH, metavar="machine.toml", help="The machine.")
+@click.option("--recipe", type=PATH, metavar="R.toml", help="Which field is which signal.")
+@click.option("--name", help="Name of the dataset; else the recipe's, else the machine's.")
+@click.option("--append", "to", metavar="NAME[@VERSION]", help="Only read recordings that NAME does not hold, and add them.")
+@click.option("--role", metavar="fit|select|held_out", help="With --append: role of the new recordings; else the recipe's.")
 @click.option("--inspect", is_flag=True, help="Only show the content of the files, and draft a recipe.")
-@click.option(
-    "--draft", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="With --inspect: write the draft."
-)
-@click.option("--reader", default=None, help="With --inspect: read the files as this format.")
-@click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
+@click.option("--draft", type=PATH, metavar="R.toml", help="With --inspect: write the draft.")
+@click.option("--reader", help="With --inspect: read the files as this format.")
+@click.option("--dbc", type=PATH, help="With --inspect: the database of a CAN log.")
 @click.option("--propose-frame", is_flag=True, help="Only print the capture frame that follows from the recipe's survey.")
 @workers_option
 @cluster_option()

@@ -40,8 +40,6 @@ def inspect_paths(
         InputError: a path without log files.
         SettingsError: ``draft`` exists already, or the machine description is wrong.
     """
-    from dataclasses import asdict
-
     from sysid.datasets.draft import default_machine, draft_recipe, missing_strokes
     from sysid.datasets.layouts import alike
     from sysid.logs.inspection import inspect_file, log_files
@@ -141,8 +139,7 @@ def _show(out: Printer, group: Sequence[FileSummary]) -> None:
             out.line(f"{_count(constant, 'field')} with constant or no numbers not shown")
         fields = [(stream, field) for stream, field in fields if field.high > field.low]
     table = [(stream, *_field_row(field)) for stream, field in fields]
-    if table:
-        out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(table), right=(3, 4, 5))
+    out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(table), right=(3, 4, 5))
     if len(table) > MAX_FIELDS:
         out.line(f"{len(table) - MAX_FIELDS} more fields (--json FILE lists them all)")
         out.line()

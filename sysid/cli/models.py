@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from sysid.cli.datasets import ReferenceGroup
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import PATH, Printer, json_option, write_json
 from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def models() -> None:
 
 @models.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
-@click.option("--kind", default=None, help="actuator, history, motion, forward, plant or policy only.")
+@click.option("--kind", help="actuator, history, motion, forward, plant or policy only.")
 @json_option
 @click.pass_obj
 def show(location: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
@@ -99,14 +99,8 @@ def repair(location: str, accept: bool, json_file: str | None) -> None:
 
 @models.command()
 @click.argument("reference", metavar="NAME@VERSION")
-@click.option(
-    "--policy",
-    type=click.Path(path_type=Path),
-    default=None,
-    metavar="P.toml",
-    help="Conditions for a network. Default: no worse than the champion.",
-)
-@click.option("--on", "dataset", default=None, metavar="DATASET", help="Use its held-out rows. Default: that of the fit.")
+@click.option("--policy", type=PATH, metavar="P.toml", help="Conditions for a network. Default: no worse than the champion.")
+@click.option("--on", "dataset", metavar="DATASET", help="Use its held-out rows. Default: that of the fit.")
 @click.option("--anyway", "word", default="", metavar="WHY", help="Promote it regardless of the checks; WHY is recorded.")
 @json_option
 @click.pass_obj
@@ -166,7 +160,7 @@ def diff_two(location: str, before: str, after: str, json_file: str | None) -> N
 
 @models.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR", help="Default: WORKSPACE/exports/NAME@V.")
+@click.option("--out", type=PATH, metavar="DIR", help="Default: WORKSPACE/exports/NAME@V.")
 @click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @json_option
 @click.pass_obj
@@ -189,7 +183,7 @@ def export(
 
 @models.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="F", help="F.md or F.html; else both in cards/.")
+@click.option("--out", type=PATH, metavar="F", help="F.md or F.html; else both in cards/.")
 @click.pass_obj
 def card(location: str, reference: str, out: Path | None) -> None:
     """Write the card of a version: purpose, errors, limits, lineage, and how to load it."""

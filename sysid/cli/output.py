@@ -26,13 +26,12 @@ from sysid.progress_bar import progress_bar as progress_bar
 if TYPE_CHECKING:
     from sysid.figures import Table
 
-
+#: Types of options and arguments: any path, a file, a folder.
+PATH = click.Path(path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
 json_option = click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    default=None,
-    help="Also write the result as JSON ('-': to stdout, the text to stderr).",
+    "--json", "json_file", metavar="FILE", help="Also write the result as JSON ('-': to stdout, the text to stderr)."
 )
 
 
@@ -61,9 +60,8 @@ class Printer:
 
     def show(self, found: Table) -> None:
         """A table, or its text where it has no row."""
-        if found.rows:
-            self.table(found.header, found.rows, found.right)
-        elif found.empty:
+        self.table(found.header, found.rows, found.right)
+        if not found.rows and found.empty:
             self.line(found.empty)
 
     def entry(self, text: str, bullet: str = "") -> None:
@@ -79,12 +77,14 @@ class Printer:
             self.line(line.rstrip())
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
-        """Columns with ``header``; ``right`` numbers the columns that are aligned right.
+        """Columns with ``header``, if there are rows; ``right`` numbers the columns that are aligned right.
 
         Cells are wrapped between words; where that is not enough for the width, every row is a list of its cells.
         """
         from rich.text import Text
 
+        if not rows:
+            return
         cells = [[visible(cell, MAX_CELL) for cell in row] for row in rows]
         fits = ((gap, _widths([header, *cells], self.console.width, gap)) for gap in (3, 2, 1))
         gap, widths = next(((gap, found) for gap, found in fits if found is not None), (0, None))
@@ -223,7 +223,7 @@ workers_option = click.option(
 
 def cluster_option(describes: str = "Address of a Dask scheduler, as tcp://HOST:PORT.") -> Callable[[Any], Any]:
     """``--cluster`` and ``--trusted-network``; ``describes``: help of the first."""
-    address = click.option("--cluster", envvar="SYSID_CLUSTER", default=None, metavar="ADDRESS", help=describes)
+    address = click.option("--cluster", envvar="SYSID_CLUSTER", metavar="ADDRESS", help=describes)
     trusted = click.option(
         "--trusted-network",
         envvar="SYSID_TRUSTED_NETWORK",

@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import click
 
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.output import FOLDER, Printer, json_option, progress_bar, write_json
 from sysid.errors import SettingsError, StorageError, SysidError
 from sysid.foreign import visible
 
@@ -116,7 +116,7 @@ def page_server(pages: Mapping[str, Page], port: int = 0) -> PageServer:
 
 
 @click.command()
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Default: site/.")
+@click.option("--out", type=FOLDER, metavar="DIR", help="Default: site/.")
 @click.option("--open", "show_it", is_flag=True, help="Open it in the browser.")
 @click.option("--serve", is_flag=True, help="Serve it to this computer until Ctrl-C; reloading the first page renews it.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8642, show_default=True, help="For --serve; 0 takes a free one.")

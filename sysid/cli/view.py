@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from sysid.cli.output import Printer, command, json_option, long_arrays_beside, rerun_command, write_json
+from sysid.cli.output import FILE, Printer, command, json_option, long_arrays_beside, rerun_command, write_json
 from sysid.cli.verbs import viewer
 
 
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]|FLIGHT.mcap")
-@click.option("--recording", default=None, help="Recording; else the first held-out one.")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
-@click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.rrd")
+@click.option("--recording", help="Recording; else the first held-out one.")
+@click.option("--plant", metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
+@click.option("--out", "path", type=FILE, metavar="FILE.rrd")
 @click.option("--live", is_flag=True, help="Simulate the plant in its PyBullet world and show it; with --out into a file.")
 @json_option
 @click.pass_obj
@@ -82,7 +82,7 @@ def view(
 
 @click.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
-@click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.html")
+@click.option("--out", "path", type=FILE, metavar="FILE.html")
 @json_option
 @click.pass_obj
 def report(location: str, reference: str | None, path: Path | None, json_file: str | None) -> None:

@@ -25,7 +25,7 @@ from sysid.fleet.drift import Drift, drifts
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
 from sysid.fleet.estimates import estimate, name_effects, plant_sha256
 from sysid.fleet.result import FleetMachine, FleetResult
-from sysid.fleet.workflow import exact_references
+from sysid.fleet.workflow import FALSE_ALARMS, exact_references
 from sysid.foreign import MAX_NAME, visible
 from sysid.names import check_dataset_name, uncut_name
 from sysid.numbers import NonNegative
@@ -35,8 +35,6 @@ from sysid.workspace import Workspace, open_workspace
 
 #: Of the state that is written now.
 SCHEMA = 2
-#: Accepted false alarms of the machine in 1000 hours of recorded motion.
-FALSE_ALARMS = 1.0
 #: Recordings between two writes of the state, so that a process that is killed loses no more work than that.
 BATCH = 32
 #: Bytes of a file of state.
@@ -382,8 +380,6 @@ def _stored(place: Workspace, path: str, kind: type[T], what: str, remedy: str, 
         values = parse_json(content)
         if not isinstance(values, dict):
             raise ValueError("no JSON object")
-        if kind is WatchState and values.get("schema") == 1:  # without the content of the recordings: all are evaluated again
-            values = {"schema": SCHEMA, **{key: values[key] for key in ("machine", "plant") if key in values}}
         return parse_settings(values, kind, where)
     except (ValueError, SettingsError) as error:
         found_text = error.found if isinstance(error, SettingsError) else str(error)
