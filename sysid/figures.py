@@ -27,7 +27,7 @@ class Table:
         row_classes: number of a row → its class in the style sheet of a page.
     """
 
-    header: tuple[str, ...]
+    header: tuple[str, ...] = ()
     rows: Sequence[Sequence[object]] = ()
     right: Collection[int] = ()
     title: str = ""
