@@ -232,8 +232,8 @@ def test_cards_say_where_how_sure_and_what_share(page: Page) -> None:
 
 
 def test_evidence_says_why_the_others_lost(page: Page) -> None:
-    assert "held-out error 7.3 × that of the dead-band" in page.text, "words of a reason are kept where nothing was fitted"
-    assert page.row("Wrong speed gain")[-1] == "rejected: 36 × the noise floor"
+    assert "predicts 310 ± 25 nats worse" in page.text
+    assert page.row("Wrong speed gain")[-1] == "predicts 2566 ± 70 nats worse"
 
 
 def test_who_owns_the_gap_and_when_it_happens(page: Page) -> None:

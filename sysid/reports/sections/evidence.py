@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from markupsafe import Markup, escape
-
 from sysid import display
 from sysid.datasets.recording import Dataset
 from sysid.figures import Table
@@ -47,7 +45,7 @@ def _named(effect: NamedEffect, gap: GapResult, machine: Machine) -> dict[str, A
         "alternatives": [
             {
                 "titles": ", ".join(item.title if item.target == target else f"{item.title} ({item.target})" for item in group),
-                "why": why.replace("its best fit leaves", "their best fits leave") if len(group) > 1 else why,
+                "why": why,
                 "bar": _bar(group[0].times, largest),
             }
             for why, group in by_reason.items()
@@ -82,18 +80,15 @@ def _group(stage: str, target: str, rows: list[ComparedModel], gap: GapResult, d
     }
 
 
-def _titles(row: ComparedModel, target: str, machine: Machine) -> Markup:
-    """Titles of the added effects, and in small print of those that were only refitted."""
-    added: list[str] = []
-    refitted: list[str] = []
+def _titles(row: ComparedModel, target: str, machine: Machine) -> str:
+    """Titles of the added effects."""
+    added = []
     for text in row.effects:
-        name, of, rest, only = label_of(text)
+        name, of, rest = label_of(text)
         extra = [words.owner_name(of)] if of and of != target else []
         extra += [rest] if rest else []
-        title = words.effect_title(name, of or target, machine) + (f" ({', '.join(extra)})" if extra else "")
-        (refitted if only else added).append(title)
-    again = Markup("<small> with {} readjusted</small>").format(", ".join(refitted).lower()) if refitted else ""
-    return escape(" + ".join(added) or "nothing added") + again
+        added.append(words.effect_title(name, of or target, machine) + (f" ({', '.join(extra)})" if extra else ""))
+    return " + ".join(added) or "nothing added"
 
 
 def _parameters(row: ComparedModel, dataset: Dataset) -> str:
@@ -102,9 +97,7 @@ def _parameters(row: ComparedModel, dataset: Dataset) -> str:
     for key, value in row.parameters.items():
         label, _, name = key.rpartition(".")
         label = label or (row.effects[0] if row.effects else "")
-        effect, target, _, refitted = label_of(label)
-        if refitted:
-            continue
+        effect, target, _ = label_of(label)
         figures = parameters_of(effect, target or row.target, {name: value}, dataset.machine, dataset.units)
         groups.setdefault(label, []).extend(figure.sentence for figure in figures)
     return "; ".join(", ".join(parts) for parts in groups.values())
