@@ -206,7 +206,7 @@ def _curve(rows: list[tuple[int, float]]) -> Markup:
     time = np.arange(seconds[0], seconds[-1] + 1.0)
     values = np.full(len(time), np.nan)
     values[(seconds - seconds[0]).astype(np.int64)] = far
-    return Markup(chart(time, [ChartCurve(values, "after")], ("time [s]", "largest distance [mm]"), size=WIDE))
+    return chart(time, [ChartCurve(values, "after")], ("time [s]", "largest distance [mm]"), size=WIDE)
 
 
 def _events(events: Sequence[Mapping[str, Any]]) -> Table:
@@ -240,7 +240,7 @@ def plant_traces(gap: GapResult, units: Mapping[str, str]) -> PlantTraces | None
             continue
         trace = next(trace for trace in gap.traces if trace.recording == moment.recording)
         unit, label = units.get(signal, "1"), words.signal_name(signal)
-        drawn = Markup(moment_chart(trace, moment, unit, label, repaired=True))
+        drawn = moment_chart(trace, moment, unit, label, repaired=True)
         text = f"{label}, held-out {moment.recording}: largest error {quantity(moment.before, unit, 2)}"
         return PlantTraces(f"plant:{gap.plant_before}", f"plant:{gap.plant_after}", drawn, text)
     return None
@@ -288,7 +288,7 @@ def result_summary(item: Item, gap: GapResult, machine: Machine, units: Mapping[
         href=item.href,
         reference=item.reference,
         headline=gap.headline,
-        picture=Markup(machine_picture(machine, marks_of(gap, machine))),
+        picture=machine_picture(machine, marks_of(gap, machine)),
         effects=[words.effect_place(effect.name, effect.target, machine) for effect in gap.effects],
         errors=main_errors(point_errors(gap.gap, units)),
         repaired=gap.repaired,

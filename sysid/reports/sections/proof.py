@@ -105,7 +105,7 @@ def _world(found: WorldGap, inputs: ReportInputs) -> dict[str, Any]:
     return {
         "figures": Table(header, rows, (1, 2, 3, 4, 5)),
         "apart": [w.name for w, c in zip(there, plain, strict=True) if w.after > WORLD_RATIO * max(c.after, c.noise_floor)],
-        "chart": Markup(dumbbells(there, repaired=found.world.after != found.world.before)),
+        "chart": dumbbells(there, repaired=found.world.after != found.world.before),
         "recordings": found.recordings,
         "skipped": found.skipped,
     }

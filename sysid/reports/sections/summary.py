@@ -30,7 +30,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             "headline": "Simulation and machine have not been compared yet.",
             "advice": "",
             "tone": "open",
-            "picture": Markup(machine_picture(machine)),
+            "picture": machine_picture(machine),
             "legend": _legend(machine, ""),
             "brief": [],
             "errors": [],
@@ -54,7 +54,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
         else gap.headline,
         "advice": "" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
-        "picture": Markup(machine_picture(machine, marks)),
+        "picture": machine_picture(machine, marks),
         "legend": _legend(
             machine, "" if not marks else "Numbers mark stages with errors." if only else "Numbers mark the results."
         ),
@@ -70,7 +70,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             *response_sentences(gap.responses, bool(gap.written)),
         ],
         "figures": _figures(lines),
-        "chart": Markup(dumbbells(lines, repaired=gap.repaired)),
+        "chart": dumbbells(lines, repaired=gap.repaired),
         "held_out": gap.held_out_recordings,
         "repaired": gap.repaired,
     }
@@ -211,11 +211,11 @@ def _figures(lines: Sequence[ErrorFigure]) -> Table:
     return Table(("Signal", "Before", "After", "Noise floor", "Unit", "Closed"), rows, (1, 2, 3, 5))
 
 
-def dumbbells(lines: Sequence[ErrorFigure], repaired: bool) -> str:
+def dumbbells(lines: Sequence[ErrorFigure], repaired: bool) -> Markup:
     """Before and after as multiples of the noise floor on one logarithmic axis, a row for each signal with its values."""
     scored = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
     if not scored:
-        return ""
+        return Markup("")
     ratios = [(line.before / line.noise_floor, line.after / line.noise_floor) for line in scored]
     decades = max(1, math.ceil(math.log10(max(1.0, *map(max, ratios)) * 1.05)))
 
@@ -236,4 +236,5 @@ def dumbbells(lines: Sequence[ErrorFigure], repaired: bool) -> str:
         rows.append(f"<li><span>{escape(line.name)}</span><b>{band}{marks}</b><small>{escape(text)}</small></li>")
     names = ["floor", *(display.ratio(10.0**decade) for decade in range(1, decades + 1))]
     places = (f'<i style="left:{x(10.0**decade):.1f}%">{name}</i>' for decade, name in enumerate(names))
-    return f'<ol class="dumbbells">{"".join(rows)}<li class="scale" aria-hidden="true"><b>{"".join(places)}</b></li></ol>'
+    scale = f'<li class="scale" aria-hidden="true"><b>{"".join(places)}</b></li>'
+    return Markup(f'<ol class="dumbbells">{"".join(rows)}{scale}</ol>')
