@@ -82,31 +82,16 @@ def models_page(
 
 
 def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
-    children = [other.reference for other in versions if version.reference in {p.reference for p in ancestors(versions, other)}]
-    dataset = str(version.lineage.get("dataset", ""))
+    named = [alias for alias in (CHAMPION, CANDIDATE) if alias in version.aliases]
     return {
-        "reference": version.reference,
-        "aliases": [alias for alias in version.aliases if alias in (CHAMPION, CANDIDATE)]
-        + [alias for alias in version.aliases if alias not in (CHAMPION, CANDIDATE)],
+        "version": version,
+        "aliases": [*named, *(alias for alias in version.aliases if alias not in named)],
         "created": display.minute(version.created_ms),
-        "digest": version.digest[:12],
         "card": card,
-        "dataset": dataset,
         "parents": [parent.reference for parent in ancestors(versions, version)],
-        "children": children,
+        "children": [other.reference for other in versions if version in ancestors(versions, other)],
         "figures": _figures(version),
-        "decisions": [
-            {
-                "when": when,
-                "what": what,
-                "by": by,
-                "why": why,
-                "promoted": decision.promoted,
-                "checks": decision.checks,
-            }
-            for decision in version.decisions[::-1]
-            for when, what, by, why in (decision_row(decision),)
-        ],
+        "decisions": [(decision, decision_row(decision)) for decision in version.decisions[::-1]],
     }
 
 

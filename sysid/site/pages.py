@@ -268,13 +268,13 @@ def index_page(items: Sequence[Item], workspace: str, created: str, newest: Mark
         title=workspace,
         kind="Workspace",
         facts=f"{len(whole)} items · {created}",
-        in_use=[_use(item) for item in in_use(items)],
+        in_use=in_use(items),
         drawing=drawing(graph.subgraph(drawn), by_key),
         more=len(drawn) < len(graph),
         newest=newest,
         count=len(graph),
         kinds=[(kind, WORDS[kind], counts[kind]) for kind in WORDS if counts[kind]],
-        rows=[_row(item) for item in whole],
+        rows=[(item, _searched(item)) for item in whole],
         damaged=[f"{item.reference}: {item.damage}" for item in items if item.kind == "damaged"],
         **_script("site.js"),
     )
@@ -372,31 +372,11 @@ def in_use(items: Sequence[Item]) -> list[Item]:
     ]
 
 
-def _use(item: Item) -> dict[str, Any]:
-    own = {"href": item.href, "reference": f"{item.name} → {item.reference}", "word": item.word, "summary": item.summary}
-    return {**own, "promoted": CHAMPION in item.aliases}
-
-
-def _row(item: Item) -> dict[str, Any]:
-    return {
-        "kind": item.kind,
-        "key": item.key,
-        "word": item.word,
-        "reference": item.reference,
-        "sort": item.reference,
-        "href": item.href,
-        "aliases": item.aliases,
-        "summary": item.summary,
-        "created": item.created,
-        "digest": item.digest[:12],
-        "text": " ".join(_searched(item)).lower(),
-    }
-
-
-def _searched(item: Item) -> Iterator[str]:
-    yield from (item.reference, item.word, item.kind, item.summary, item.digest, item.created, *item.aliases)
-    for fact in item.facts:
-        yield from (fact.name, fact.text)
+def _searched(item: Item) -> str:
+    """What the search of the page looks through."""
+    facts = (text for fact in item.facts for text in (fact.name, fact.text))
+    own = (item.reference, item.word, item.kind, item.summary, item.digest, item.created, *item.aliases)
+    return " ".join((*own, *facts)).lower()
 
 
 def _script(name: str) -> dict[str, Any]:

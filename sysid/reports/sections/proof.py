@@ -11,7 +11,7 @@ from markupsafe import Markup
 from sysid import display
 from sysid.datasets.recording import Dataset
 from sysid.figures import ParameterFigure, Table, aligned
-from sysid.gap.result import EffectEvidence, GapResult, NamedEffect, Promotion, WorldGap
+from sysid.gap.result import EffectEvidence, GapResult, NamedEffect, WorldGap
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import effects_toml
 from sysid.reports import words
@@ -29,7 +29,6 @@ CONDITIONS = {
 }
 #: Ratio of the gap in the world to that of the compiled plant from which it is reported.
 WORLD_RATIO = 1.5
-MARKS = {"passed": "✓", "failed": "✗", "left out": "–"}
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
@@ -38,33 +37,13 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
         return None
     return {
         "held_out": gap.held_out_recordings,
-        "promotion": _promotion(gap.promotion, gap) if gap.promotion is not None else None,
+        "promotion": gap.promotion,
+        "conditions": CONDITIONS,
+        "plant_before": gap.plant_before,
         "effects": _effects(gap, inputs.dataset.machine),
         "evidence": _evidence(gap, inputs.dataset.machine),
         "world": _world(gap.world_gap, inputs) if gap.world_gap is not None else None,
         "dataset": gap.dataset.partition("@")[0],
-    }
-
-
-def _promotion(found: Promotion, gap: GapResult) -> dict[str, Any]:
-    name = found.version.partition("@")[0]
-    back = found.previous if found.previous not in ("", found.version) else gap.plant_before
-    return {
-        "promoted": found.promoted,
-        "version": found.version,
-        "name": name,
-        "current": found.current,
-        "back": back if found.promoted else found.version,
-        "reason": found.reason,
-        "checks": [
-            {
-                "mark": MARKS[c.status],
-                "status": c.status.replace(" ", "-"),
-                "condition": CONDITIONS.get(c.name, c.name),
-                "text": c.text,
-            }
-            for c in found.checks
-        ],
     }
 
 
