@@ -155,7 +155,7 @@ def _hang(
             set_inertia(link_element(root, link), mass, 1e-7 * mass * length**2)
     reach = scale * reach
     joints = (movable[0], movable[1])
-    return HangingTool(joints, reach, _damping(root, kinematics.tip, joints, reach, ratio), tool)
+    return HangingTool(joints, reach, _damping(root, joints, reach, ratio), tool)
 
 
 def _add_tool(root: Element, tip: str) -> None:
@@ -166,7 +166,7 @@ def _add_tool(root: Element, tip: str) -> None:
     SubElement(joint, "child", link=_TOOL)
 
 
-def _damping(root: Element, tip: str, joints: tuple[Joint, Joint], reach: Array, ratio: float) -> tuple[float, float]:
+def _damping(root: Element, joints: tuple[Joint, Joint], reach: Array, ratio: float) -> tuple[float, float]:
     """Joint damping ``c = 2ζω₀J`` of the physical pendulum about each axis, with ``ω₀² = m·g·d/J``."""
     down = reach / np.linalg.norm(reach)
     every = parsed(root)
