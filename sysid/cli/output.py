@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
-import re
 import shlex
 import shutil
 import sys
@@ -13,18 +11,16 @@ import textwrap
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from sysid.errors import SettingsError
+from sysid.figures import Table
 from sysid.files import json_text, written_whole
 from sysid.foreign import escaped_json, visible
 from sysid.progress import Progress
 from sysid.progress_bar import progress_bar as progress_bar
-
-if TYPE_CHECKING:
-    from sysid.figures import Table
 
 #: Types of options and arguments: any path, a file, a folder.
 PATH = click.Path(path_type=Path)
@@ -35,8 +31,8 @@ json_option = click.option(
 )
 
 
-#: Characters of one cell of a table, and columns of a sentence.
-MAX_CELL, WIDTH = 1000, 80
+#: Columns of a sentence.
+WIDTH = 80
 
 
 class Printer:
@@ -60,9 +56,18 @@ class Printer:
 
     def show(self, found: Table) -> None:
         """A table, or its text where it has no row."""
-        self.table(found.header, found.rows, found.right)
-        if not found.rows and found.empty:
-            self.line(found.empty)
+        if not found.rows:
+            if found.empty:
+                self.line(found.empty)
+            return
+        lines, head = found.text(self.console.width)
+        for number, line in enumerate(lines[: head.stop + 1]):
+            self.console.print(line, style="bold" if number in head else None, markup=False, soft_wrap=True)
+        self.console.file.write("".join(f"{line}\n" for line in lines[head.stop + 1 :]))
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
+        """Columns with ``header``, if there are rows; ``right`` numbers the columns that are aligned right."""
+        self.show(Table(tuple(header), rows, right))
 
     def entry(self, text: str, bullet: str = "") -> None:
         """A sentence, wrapped to :data:`WIDTH` columns between its words."""
@@ -75,89 +80,6 @@ class Printer:
             break_on_hyphens=False,
         ):
             self.line(line.rstrip())
-
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
-        """Columns with ``header``, if there are rows; ``right`` numbers the columns that are aligned right.
-
-        Cells are wrapped between words; where that is not enough for the width, every row is a list of its cells.
-        """
-        from rich.text import Text
-
-        if not rows:
-            return
-        cells = [[visible(cell, MAX_CELL) for cell in row] for row in rows]
-        fits = ((gap, _widths([header, *cells], self.console.width, gap)) for gap in (3, 2, 1))
-        gap, widths = next(((gap, found) for gap, found in fits if found is not None), (0, None))
-        if widths is None:
-            for row in cells:
-                self.line()
-                for number, (name, cell) in enumerate(zip(header, row, strict=True)):
-                    label, indent = (f"{name}: " if name else ""), "  " if number else " "
-                    found = textwrap.wrap(
-                        f"{label}{cell}", self.console.width, break_long_words=False, break_on_hyphens=False,
-                        initial_indent=indent, subsequent_indent=f"{indent}  ",
-                    )  # fmt: skip
-                    self.console.file.write("".join(f"{line}\n" for line in found if cell))
-            self.line()
-            return
-        wide = sum(widths) + gap * (len(widths) - 1)
-        head = "\n".join(_aligned(header, widths, right, gap))
-        for text in (Text(" " * (wide + 2)), Text(head, "bold"), Text(f" {'─' * wide} ")):
-            self.console.print(text, soft_wrap=True)
-        lines = (line for row in cells for line in _aligned(row, widths, right, gap))
-        self.console.file.write("\n".join((*lines, " " * (wide + 2), "")))
-
-
-#: Where a cell may be broken: not in a pair such as ``3.2 / 4.1``.
-BREAK = re.compile(r"(?<!/) (?!/)")
-
-
-def _widths(rows: Sequence[Sequence[str]], width: int, gap: int) -> list[int] | None:
-    """Widths of columns that take at most ``width`` together with gaps between them.
-
-    No column is narrower than its longest word; None where that is too wide.
-    """
-    from rich.cells import cell_len
-
-    columns = list(zip(*rows, strict=True))
-    found, room = [max(map(cell_len, column)) for column in columns], width - gap * (len(columns) - 1) - 2
-    if sum(found) <= room:  # always so for a table of many rows, whose words are not counted
-        return found
-    least = [max(cell_len(word) for cell in column for word in BREAK.split(cell)) for column in columns]
-    while sum(found) > room:
-        wide = [number for number in range(len(found)) if found[number] > least[number]]
-        if not wide:
-            return None
-        found[max(wide, key=lambda number: found[number])] -= 1
-    return found
-
-
-def _wrapped(cell: str, width: int) -> list[str]:
-    """The lines of a cell: words up to a width in columns of the terminal."""
-    from rich.cells import cell_len
-
-    if cell_len(cell) <= width:
-        return [cell]
-    lines = [""]
-    for word in BREAK.split(cell):
-        longer = f"{lines[-1]} {word}" if lines[-1] else word
-        if cell_len(longer) <= width:
-            lines[-1] = longer
-        else:
-            lines.append(word)
-    return lines
-
-
-def _aligned(row: Sequence[str], widths: Sequence[int], right: Collection[int], gap: int) -> Iterator[str]:
-    """The lines of the cells side by side, padded to widths in columns of the terminal."""
-    from rich.cells import cell_len
-
-    for line in itertools.zip_longest(*map(_wrapped, row, widths), fillvalue=""):
-        parts = []
-        for number, (cell, width) in enumerate(zip(line, widths, strict=True)):
-            space = " " * (width - cell_len(cell))
-            parts.append(f"{space}{cell}" if number in right else f"{cell}{space}")
-        yield f" {(' ' * gap).join(parts)} "
 
 
 def rerun_command(path: Path) -> str:
