@@ -208,7 +208,7 @@ def _miss_text(figure: ParameterFigure) -> str:
 
 def show_next_steps(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
     """The most useful recordings to make: planned ones, then those for ties, then those for most axes."""
-    from sysid.reports.next_steps import next_steps
+    from sysid.reports.result_figures import next_steps
 
     steps = next_steps(result, dataset)
     if not steps:

@@ -14,7 +14,6 @@ from sysid.figures import Table
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.pages import FOLDER, SiteBar, filled, page, write_page
 from sysid.reports.sections import (
-    evidence,
     excitation,
     networks,
     proof,
@@ -68,7 +67,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("traces", "Before and after", traces.context),
     Section("proof", "The proof", proof.context),
     Section("parameters", "What was added", proof.parameters),
-    Section("evidence", "Candidates and evidence", evidence.context),
+    Section("evidence", "Candidates and evidence", proof.candidates),
     Section("experiments", "What to record next", excitation.experiments),
     Section("networks", "Networks", networks.context),
     Section("excitation", "Excitation", excitation.context),

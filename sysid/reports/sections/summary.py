@@ -16,9 +16,8 @@ from sysid.gap.statement import AGREES, left_out_sentence, missing_sentences, or
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.next_steps import next_steps
 from sysid.reports.picture import Mark, has_valve, machine_picture, marks_of, part_of, place_text, stage_marks
-from sysid.reports.result_figures import effect_figures, named_sentence, point_errors, residual_sentence
+from sysid.reports.result_figures import effect_figures, named_sentence, next_steps, point_errors, residual_sentence
 from sysid.reports.sections.where import above_floor, maps_of, over_name, sentence
 from sysid.reports.words import confidence, remainder_unit
 
