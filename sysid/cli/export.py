@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sysid.cli.output import PATH, Printer, json_option, progress_bar, write_json
+from sysid.cli.output import PATH, Printer, json_option, progress_bar
 
 if TYPE_CHECKING:
     from sysid.export.export import Export
@@ -29,13 +29,12 @@ NAMES = ("mjcf", "urdf", "sdf", "isaaclab", "newton", "fmu", "simulink", "lut", 
 @click.pass_obj
 def export(
     location: str, reference: str, target: str, folder: Path, dataset: str | None, samples: int, seed: int, force: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:  # fmt: skip
     """Write a plant for another simulator, and keep it only if it replays the held-out recordings as the plant does.
 
     The card of an actuator (`sysid actuators`) is written in the same way, without a replay.
     """
-    out = Printer(json_file)
     with progress_bar("export") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.actuators import is_card
@@ -52,7 +51,7 @@ def export(
             force=force, progress=progress,
         )  # fmt: skip
     _show(out, made, recorded.units if recorded is not None else {})
-    write_json(json_file, made.to_json())
+    out.json(made.to_json())
 
 
 def _show(out: Printer, made: Export, units: Mapping[str, str]) -> None:

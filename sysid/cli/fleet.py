@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 
-from sysid.cli.output import PATH, Printer, cluster_option, json_option, progress_bar, workers_option, write_json
+from sysid.cli.output import PATH, Printer, cluster_option, json_option, progress_bar, workers_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,13 +69,12 @@ def gap(
     trusted_network: bool,
     false_alarms: float,
     fail_on: Condition | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Name the effects that the simulation of a type lacks, the machines on which they differ, and those that drift.
 
     One dataset is one machine; its recordings are in the order of their time stamps.
     """
-    out = Printer(json_file)
     with progress_bar("fleet") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.execution import open_executor
@@ -95,7 +94,7 @@ def gap(
     for note in result.notes:
         out.line(f"note: {note}")
     out.line(f"Page: {write_page(workspace.output(PAGE), fleet_page(result, machine))}")
-    write_json(json_file, result.to_json())
+    out.json(result.to_json())
     if fail_on is not None and result.fulfils(fail_on):
         _fail(out, fail_on)
 
@@ -136,13 +135,12 @@ def watch(
     quiet: float,
     restart: bool,
     fail_on: Literal["drift", "new"] | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Watch one machine: add the recordings that arrived in FOLDER to NAME, and name the effects that drift.
 
     The first call names the effects of the dataset. Each later call estimates them in the new recordings only.
     """
-    out = Printer(json_file)
     with progress_bar("watch") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.fleet.page import drift_table, fleet_page
@@ -181,6 +179,6 @@ def watch(
     out.show(drift_table(result.fleet, machine))
     page = write_page(workspace.output(f"fleet/watch/{name}.html"), fleet_page(result.fleet, machine))
     out.line(f"Page: {page}")
-    write_json(json_file, result.to_json())
+    out.json(result.to_json())
     if (fail_on == "drift" and result.fleet.drifts) or (fail_on == "new" and result.noticed):
         _fail(out, fail_on)

@@ -23,7 +23,6 @@ from sysid.cli.output import (
     json_option,
     progress_bar,
     workers_option,
-    write_json,
 )
 from sysid.errors import InputError, SettingsError, nearest
 
@@ -246,7 +245,7 @@ def gap(
     cluster: str | None,
     trusted_network: bool,
     verbose: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
     from sysid.cli.dataset_tables import show_checked
@@ -271,7 +270,6 @@ def gap(
         raise SettingsError("sysid gap", "--out without a MuJoCo model", "--simulator mujoco:FILE.xml")
     if mjcf is not None and add and out_file is None:
         out_file = repaired_path(mjcf)
-    out = Printer(json_file)
     known = _card(card)
     data = Store(location).load(reference)
     check_needs(data)  # before anything is compiled
@@ -341,6 +339,6 @@ def gap(
         elif mjcf is not None and isinstance(tested, SimulatorAdapter | Plant) and out_file is not None:
             written["model"] = write_model(out, tested, result, dataset, mjcf, out_file, assets)
     finally:
-        write_json(json_file, written)
+        out.json(written)
     if result.missing:
         raise SystemExit(1)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.dataset_tables import show_dataset
-from sysid.cli.output import PATH, Printer, cluster_option, command, json_option, workers_option, write_json
+from sysid.cli.output import PATH, Printer, cluster_option, command, json_option, workers_option
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def ingest(
     workers: int,
     cluster: str | None,
     trusted_network: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Turn raw logs into a new dataset version.
 
@@ -60,12 +60,12 @@ def ingest(
     if propose_frame:
         from sysid.cli.ingest_inspect import propose
 
-        propose(paths, machine, recipe, json_file)
+        propose(paths, machine, recipe, out)
         return
     if inspect:
         from sysid.cli.ingest_inspect import inspect_paths
 
-        inspect_paths(paths, machine, draft, reader, dbc, json_file)
+        inspect_paths(paths, machine, draft, reader, dbc, out)
         return
     for option, value in (("--draft", draft), ("--reader", reader), ("--dbc", dbc)):
         if value is not None:
@@ -86,7 +86,6 @@ def ingest(
         paths, workspace, machine=machine, recipe=recipe, name=name, append_to=to, role=role, executor=executor
     )
     seconds = time.perf_counter() - begin
-    out = Printer(json_file)
     show_dataset(out, dataset)
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
@@ -104,4 +103,4 @@ def ingest(
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
     out.line(f"Coverage and excitation: {command('datasets', dataset.reference, '--quality', workspace=workspace)}")
     plausibility = [finding.to_json() for finding in findings]
-    write_json(json_file, {**describe(dataset), "plausibility": plausibility, **found, "seconds": seconds})
+    out.json({**describe(dataset), "plausibility": plausibility, **found, "seconds": seconds})

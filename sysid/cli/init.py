@@ -9,7 +9,7 @@ from string import Template
 
 import click
 
-from sysid.cli.output import FILE, FOLDER, Printer, command, json_option, write_json
+from sysid.cli.output import FILE, FOLDER, Printer, command, json_option
 from sysid.datasets.robot_files import Choices, drafted_apart
 from sysid.errors import SettingsError
 from sysid.names import listed, slug
@@ -73,7 +73,7 @@ def init(
     tip: str | None,
     tool: str | None,
     assets: tuple[Path, ...],
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Create the folders and templates for a machine in DIR. Existing files are not changed."""
     name = name or _name_of(directory)
@@ -99,7 +99,6 @@ def init(
             root.write(relative, text.encode("utf-8"))
             made.append(relative)
     root.make(f"datasets/{name}/logs")
-    out = Printer(json_file)
     for relative in made:
         out.line(f"made  {directory / relative}")
     for relative in kept:
@@ -117,7 +116,7 @@ def init(
     out.line(f"Next: {do} the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
     out.line(f"      {command('ingest', folder)}")
     found = {"made": made, "kept": kept, "left_out": list(left_out), "assumed": list(assumed)}
-    write_json(json_file, {"schema": 1, "directory": directory, "name": name, **found})
+    out.json({"schema": 1, "directory": directory, "name": name, **found})
 
 
 def _name_of(directory: Path) -> str:

@@ -26,17 +26,16 @@ from sysid.progress_bar import progress_bar as progress_bar
 PATH = click.Path(path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
-json_option = click.option(
-    "--json", "json_file", metavar="FILE", help="Also write the result as JSON ('-': to stdout, the text to stderr)."
-)
-
-
 #: Columns of a sentence.
 WIDTH = 80
 
 
 class Printer:
-    """Prints text on stdout, or on stderr if stdout carries JSON; control characters are escaped (``sysid.foreign``)."""
+    """Prints text on stdout, or on stderr if stdout carries JSON; control characters are escaped (``sysid.foreign``).
+
+    Args:
+        json_file: as of :func:`write_json`.
+    """
 
     def __init__(self, json_file: str | None = None) -> None:
         from rich.console import Console
@@ -45,6 +44,7 @@ class Printer:
         stream = sys.stderr if json_file == "-" else sys.stdout
         known = stream.isatty() or os.environ.get("COLUMNS", "").isdigit()
         self.console = Console(file=stream, highlight=False, width=None if known else 160)
+        self.json_file = json_file
 
     def line(self, text: str = "") -> None:
         """One line; line breaks in it are escaped, so that a name cannot forge a line."""
@@ -69,6 +69,10 @@ class Printer:
         """Columns with ``header``, if there are rows; ``right`` numbers the columns that are aligned right."""
         self.show(Table(tuple(header), rows, right))
 
+    def json(self, value: Mapping[str, Any]) -> None:
+        """Write the result as JSON, where a file for it is named."""
+        write_json(self.json_file, value)
+
     def entry(self, text: str, bullet: str = "") -> None:
         """A sentence, wrapped to :data:`WIDTH` columns between its words."""
         for line in textwrap.wrap(
@@ -80,6 +84,15 @@ class Printer:
             break_on_hyphens=False,
         ):
             self.line(line.rstrip())
+
+
+json_option = click.option(
+    "--json",
+    "out",
+    metavar="FILE",
+    callback=lambda context, parameter, value: Printer(value),
+    help="Also write the result as JSON ('-': to stdout, the text to stderr).",
+)
 
 
 def rerun_command(path: Path) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.init import KINDS
-from sysid.cli.output import FILE, FOLDER, Printer, command, json_option, write_json
+from sysid.cli.output import FILE, FOLDER, Printer, command, json_option
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def start(
     reader: str | None,
     yes: bool,
     out_folder: Path | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """From a folder of logs to a verdict.
 
@@ -68,7 +68,7 @@ def start(
     from sysid.front import logs
     from sysid.machine import load_machine
 
-    out, place = Printer(json_file), out_folder or folder
+    place = out_folder or folder
     described, made, machine = None, list[Path](), place / "machine.toml"
     if logs.described_already(place, f"sysid start {folder}"):
         for path in filter(None, (machine, logs.recipe_in(place))):
@@ -84,20 +84,20 @@ def start(
     name = load_machine(machine).name
     recipe = logs.recipe_in(place)
     out.line()
-    context.invoke(ingest, paths=(folder,), machine=machine, recipe=recipe, name=name)
+    context.invoke(ingest, paths=(folder,), machine=machine, recipe=recipe, name=name, out=Printer())
     dataset = Store(context.obj).load(name)
     out.line()
     responses = show_responses(out, dataset)
     out.line()
-    gap_file = str(Path(json_file).with_suffix(".gap.json")) if json_file is not None else None
-    context.invoke(gap, reference=dataset.reference, json_file=gap_file)
+    gap_file = str(Path(out.json_file).with_suffix(".gap.json")) if out.json_file is not None else None
+    context.invoke(gap, reference=dataset.reference, out=Printer(gap_file))
     out.line()
     out.line("Next:")
     out.line(f"  1. Correct {machine} where a comment is wrong, and {command('start', folder)} again.")
     out.line(f"  2. {command('report', dataset.reference, workspace=context.obj)}")
     out.line(f"  3. {command('gap', dataset.reference, workspace=context.obj)} --add, to store the repaired simulation.")
     questions = [] if described is None else described.questions
-    write_json(json_file, {
+    out.json({
         "schema": 1, "dataset": dataset.reference, "made": made, "responses": responses,
         "questions": [{"key": q.key, "proposal": q.proposal, "why": q.why} for q in questions],
         "left_out": [] if described is None else list(described.left_out),
