@@ -21,42 +21,37 @@ from sysid.reports.result_figures import effect_figures, named_sentence, next_st
 from sysid.reports.sections.where import above_floor, maps_of, over_name, sentence
 from sysid.reports.words import confidence, remainder_unit
 
+#: What a dataset without a comparison lacks.
+_NOTHING: dict[str, Any] = {
+    **dict.fromkeys(("advice", "chart", "figures"), ""),
+    **dict.fromkeys(("brief", "errors", "cards", "sure", "held_out"), ()),
+    "repaired": False,
+}
+
 
 def context(inputs: ReportInputs) -> dict[str, Any]:
-    machine = inputs.dataset.machine
-    if inputs.gap is None:
+    gap, machine, units = inputs.gap, inputs.dataset.machine, inputs.dataset.units
+    if gap is None:
         return {
+            **_NOTHING,
             "headline": "Simulation and machine have not been compared yet.",
-            "advice": "",
             "tone": "open",
             "picture": machine_picture(machine),
             "legend": _legend(machine, ""),
-            "brief": [],
-            "errors": [],
             "next": [("Compare", Markup("<code>sysid gap {}</code>").format(inputs.dataset.reference))],
-            "cards": [],
-            "sure": [],
-            "figures": None,
-            "chart": "",
-            "held_out": [],
-            "repaired": False,
         }
-    gap = inputs.gap
-    only = bool(gap.settings.get("localise_only"))
-    lines = point_errors(gap.gap, inputs.dataset.units)
+    lines, only = point_errors(gap.gap, units), bool(gap.settings.get("localise_only"))
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
-    cards = _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, inputs.dataset)
+    cards = _located(found, gap, units) if only else _cards(gap, marks, inputs.dataset)
+    places = [f"{words.owner_name(item.target)} ({words.stage_name(item.stage)})" for item in found]
+    numbers = "Numbers mark stages with errors." if only else "Numbers mark the results."
     return {
-        "headline": words.localised([f"{words.owner_name(i.target)} ({words.stage_name(i.stage)})" for i in found])
-        if found
-        else gap.headline,
+        "headline": words.localised(places) if places else gap.headline,
         "advice": "" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
         "picture": machine_picture(machine, marks),
-        "legend": _legend(
-            machine, "" if not marks else "Numbers mark stages with errors." if only else "Numbers mark the results."
-        ),
+        "legend": _legend(machine, numbers if marks else ""),
         "brief": cards,
         "errors": main_errors(lines),
         "next": _next(inputs, gap, only),
@@ -127,16 +122,14 @@ def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]
     cards = []
     for number, item in enumerate(found, 1):
         unit = units.get(item.signal, "1")
-        error = display.quantity(item.stage_rmse, unit)
-        size = f"{words.signal_name(item.signal)} has an error of {error}, "
+        error, over = display.quantity(item.stage_rmse, unit), f"{times(item.stage_rmse, item.noise_floor)} the noise floor"
+        name = words.signal_name(item.signal)
         details = [sentence(maps[0], item, unit)] if (maps := maps_of(gap, item)) else []
         title, text = (
             words.owner_name(item.target).capitalize(),
-            f"{size}{times(item.stage_rmse, item.noise_floor)} the noise floor.",
+            f"{name[0].upper()}{name[1:]} has an error of {error}, {over}.",
         )
-        value = f"{error} RMS, {times(item.stage_rmse, item.noise_floor)} the noise floor"
-        text = text[0].upper() + text[1:]
-        cards.append(_card(number, title, words.stage_name(item.stage), value, text, details, sure=False))
+        cards.append(_card(number, title, words.stage_name(item.stage), f"{error} RMS, {over}", text, details, sure=False))
     return cards
 
 
@@ -154,11 +147,8 @@ def _cards(gap: GapResult, marks: Sequence[Mark], dataset: Dataset) -> list[dict
         place = f"at the {place_text(mark.part, mark.target)}"
         place = f"of {words.signal_name(item.target)} in the free run" if item.stage == "free_run" else place
         text = f"An error {place} is not explained by any known effect ({size} RMS)."
-        known = (
-            f"It depends on {over_name(item.depends_on)}."
-            if not item.depends_on.startswith("nothing")
-            else "It depends on no measured signal."
-        )
+        depends = "no measured signal" if item.depends_on.startswith("nothing") else over_name(item.depends_on)
+        known = f"It depends on {depends}."
         quiet = [known, *_residual_models(gap, item, dataset)]
         value = f"{size} RMS, {known[0].lower()}{known[1:-1]}"
         cards.append(_card(len(cards) + 1, "Unnamed", words.owner_name(item.target), value, text, quiet, sure=False))
