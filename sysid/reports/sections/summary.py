@@ -125,10 +125,8 @@ def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]
         error, over = display.quantity(item.stage_rmse, unit), f"{times(item.stage_rmse, item.noise_floor)} the noise floor"
         name = words.signal_name(item.signal)
         details = [sentence(maps[0], item, unit)] if (maps := maps_of(gap, item)) else []
-        title, text = (
-            words.owner_name(item.target).capitalize(),
-            f"{name[0].upper()}{name[1:]} has an error of {error}, {over}.",
-        )
+        title = words.owner_name(item.target).capitalize()
+        text = f"{name[0].upper()}{name[1:]} has an error of {error}, {over}."
         cards.append(_card(number, title, words.stage_name(item.stage), f"{error} RMS, {over}", text, details, sure=False))
     return cards
 
