@@ -208,14 +208,6 @@ class Workspace:
         promoted = self.models.promoted(model_name(dataset.machine.name)) if reference is None else None
         return self.plant(dataset, promoted.reference if promoted is not None else reference)
 
-    def results(self, dataset: Dataset) -> Path:
-        """Folder of the results of a dataset version.
-
-        Raises:
-            StoreError: it is a link.
-        """
-        return self.root.path(_results(dataset))
-
     def output(self, path: str, dataset: Dataset | None = None) -> Path:
         """Path of a file to be written, relative to the workspace or the results of a dataset version; its folder is created.
 

@@ -26,7 +26,6 @@ from sysid.registry.stored import (
     MANIFEST,
     METRICS,
     ModelChange,
-    Record,
     StoredModel,
     StoredVersion,
     read_records,
@@ -175,9 +174,12 @@ def _records(workspace: Path) -> Mapping[str, Sequence[StoredVersion]]:
     found: dict[tuple[str, int], StoredVersion] = {}
     root = Root(workspace)
     for digest in root.entries("models"):
-        text = _manifest(root, digest)
-        for record in read_records(root, f"models/{digest}") if text is not None else ():
-            entry = _entry(workspace / "models" / digest, text or "", record)
+        if (text := _manifest(root, digest)) is None:
+            continue
+        for record in read_records(root, f"models/{digest}"):
+            tags = {DIGEST: digest, MANIFEST: text, METRICS: record.metrics}
+            source = (workspace / "models" / digest).resolve().as_uri()
+            entry = StoredVersion(record.version, record.created_ms, source, tags)
             other = found.get((record.name, record.version))
             if other is None or other.created_ms < entry.created_ms:
                 found[record.name, record.version] = entry
@@ -185,11 +187,6 @@ def _records(workspace: Path) -> Mapping[str, Sequence[StoredVersion]]:
     for (name, _), entry in sorted(found.items()):
         by_name.setdefault(name, []).append(entry)
     return by_name
-
-
-def _entry(folder: Path, text: str, record: Record) -> StoredVersion:
-    tags = {DIGEST: folder.name, MANIFEST: text, METRICS: record.metrics}
-    return StoredVersion(record.version, record.created_ms, folder.resolve().as_uri(), tags)
 
 
 def _manifest(root: Root, digest: str) -> str | None:
