@@ -37,6 +37,7 @@ from sysid.site.item import WORDS, HeldOutError, Item
 from sysid.site.lineage import around, drawing, lineage_graph
 from sysid.site.sparklines import MOST_RECORDINGS, sparklines
 
+FOLDER = Path(__file__).parent
 STYLES = ("page.css", "site.css")
 
 
@@ -61,7 +62,7 @@ def dataset_page(
     return page(
         "dataset.html",
         STYLES,
-        Path(__file__).parent,
+        FOLDER,
         bar,
         title=item.reference,
         kind="Dataset version",
@@ -155,7 +156,7 @@ def _page(item: Item, values: Mapping[str, Any], bar: SiteBar, lineage: Markup) 
     return page(
         "flight.html",
         STYLES,
-        Path(__file__).parent,
+        FOLDER,
         bar,
         title=item.reference,
         kind="Run of a machine",
@@ -246,7 +247,6 @@ def plant_traces(gap: GapResult, units: Mapping[str, str]) -> PlantTraces | None
     return None
 
 
-FOLDER = Path(__file__).parent
 WORKSPACE_STYLES = ("page.css", "models.css", "site.css")
 #: Most boxes of the drawing on the overview.
 MOST = 40
