@@ -283,18 +283,13 @@ class NetworkError:
 
 def stored_errors(metrics: Mapping[str, float]) -> list[NetworkError]:
     """RMSE, 95 % and maximum of every output, from the figures that are stored with a version of a network."""
-    found: dict[tuple[str, str], dict[str, float]] = {}
+    found: dict[tuple[str, str], dict[str, Any]] = {}
     for key, value in metrics.items():
         output, _, figure = key.rpartition(".")
         signal, rows = output_of(output)
         if figure in ("rmse", "p95", "max") and signal:
             found.setdefault((signal, rows), {})[figure] = value
-    return [
-        NetworkError(
-            signal, rows, output_unit(signal), own.get("rmse", math.nan), own.get("p95", math.nan), own.get("max", math.nan)
-        )
-        for (signal, rows), own in found.items()
-    ]
+    return [NetworkError(signal, rows, output_unit(signal), **own) for (signal, rows), own in found.items()]
 
 
 #: Kind of rows → words.

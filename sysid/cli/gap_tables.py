@@ -274,7 +274,6 @@ def show_repair(
 
 def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """The held-out gap in the PyBullet world and with the compiled plant, before and after."""
-
     found = result.world_gap
     if found is None:
         return

@@ -5,7 +5,9 @@ from __future__ import annotations
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -145,9 +147,6 @@ def ui(location: str, folder: Path | None, show_it: bool, serve: bool, port: int
 
 def _pages(workspace: Workspace, built: Built, out: Path | None) -> dict[str, Page]:
     """URL path → page; reading the first one builds the site again, once for all requests that wait for it."""
-    import time
-    from functools import partial
-
     from sysid.root import Root
     from sysid.site import build_site
 
