@@ -232,7 +232,6 @@ def gap(
     out: Printer,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
-    from sysid.actuators import card_named
     from sysid.cli.dataset_tables import show_checked
     from sysid.datasets import Store
     from sysid.datasets.checks.roles import check_needs
@@ -250,7 +249,11 @@ def gap(
         raise SettingsError("sysid gap", "--out without a MuJoCo model", "--simulator mujoco:FILE.xml")
     if mjcf is not None and add and out_file is None:
         out_file = repaired_path(mjcf)
-    known = card_named(card) if card is not None else None
+    known = None
+    if card is not None:
+        from sysid.actuators import card_named
+
+        known = card_named(card)
     data = Store(location).load(reference)
     check_needs(data)  # before anything is compiled
     with progress_bar("gap") as progress:

@@ -108,7 +108,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
         unlimit(joint_element(root, name))
     hanging = None
     if machine.tool is not None and machine.tool != machine.tip:
-        path = path_to(kinematics, machine.tool)
+        path = path_to(kinematics.joints, machine.tool, kinematics.tip)
         values = {key: float(np.asarray(value)) for key, value in (sway.parameters if sway is not None else {}).items()}
         if values.get("length", 0.0) >= _MIN_LENGTH:
             hanging = _hang(root, kinematics, path, values["length"], values["damping_ratio"], gripper)
