@@ -10,8 +10,9 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,6 +22,9 @@ from sysid.files import json_text, written_whole
 from sysid.foreign import escaped_json, visible
 from sysid.progress import Progress
 from sysid.progress_bar import progress_bar as progress_bar
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 #: Types of options and arguments: any path, a file, a folder.
 PATH = click.Path(path_type=Path)
@@ -38,13 +42,17 @@ class Printer:
     """
 
     def __init__(self, json_file: str | None = None) -> None:
+        self.json_file = json_file
+
+    @cached_property
+    def console(self) -> Console:
+        """Made for the first line, since a verb may open the standard streams before."""
         from rich.console import Console
 
         # A pipe has no width but that of COLUMNS: else 160 columns, so that references and paths are not wrapped.
-        stream = sys.stderr if json_file == "-" else sys.stdout
+        stream = sys.stderr if self.json_file == "-" else sys.stdout
         known = stream.isatty() or os.environ.get("COLUMNS", "").isdigit()
-        self.console = Console(file=stream, highlight=False, width=None if known else 160)
-        self.json_file = json_file
+        return Console(file=stream, highlight=False, width=None if known else 160)
 
     def line(self, text: str = "") -> None:
         """One line; line breaks in it are escaped, so that a name cannot forge a line."""
