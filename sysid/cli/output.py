@@ -64,13 +64,15 @@ class Printer:
 
     def show(self, found: Table) -> None:
         """A table, or its text where it has no row."""
+        from rich.text import Text
+
         if not found.rows:
             if found.empty:
                 self.line(found.empty)
             return
         lines, head = found.text(self.console.width)
         for number, line in enumerate(lines[: head.stop + 1]):
-            self.console.print(line, style="bold" if number in head else None, markup=False, soft_wrap=True)
+            self.console.print(Text(line, "bold" if number in head else ""), soft_wrap=True)
         self.console.file.write("".join(f"{line}\n" for line in lines[head.stop + 1 :]))
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
