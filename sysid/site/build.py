@@ -176,8 +176,8 @@ def _page(workspace: Workspace, item: Item, by_key: Mapping[str, Item], bar: Sit
     if item.kind == "dataset":
         gap = by_key.get(f"gap:{item.reference}")
         report = f"../{gap.href}" if gap is not None else ""
-        recordings, command = workspace.dataset(item.reference).recordings, f"sysid gap {item.reference} --add"
-        return dataset_page(item, _manifest(workspace, item), recordings, bar, drawn, report, command)
+        recordings = workspace.dataset(item.reference).recordings
+        return dataset_page(item, _manifest(workspace, item), recordings, bar, drawn, report)
     if item.kind == "gap":
         inputs = workspace.report_inputs(workspace.dataset(item.reference))
         return build_report(inputs, bar, drawn, f"../{LIBRARY}")

@@ -48,14 +48,12 @@ def dataset_page(
     bar: SiteBar,
     lineage: Markup,
     report: str,
-    command: str,
 ) -> str:
     """The page as HTML text.
 
     Args:
         recordings: of the version, for the curves.
         report: relative URL of the report on its gap result; empty without one.
-        command: that computes one.
     """
     flags, clocks = list(manifest["quality"].get("flags", [])), [clock_from(item) for item in manifest["clocks"]]
     lines = flag_lines(flags)
@@ -69,7 +67,7 @@ def dataset_page(
         facts=f"{item.summary} · machine {manifest['machine_name']} · made {item.created} UTC · content {item.digest[:12]}",
         drawing=lineage,
         report=report,
-        command=command,
+        command=f"sysid gap {item.reference} --add",
         recordings=_recordings(manifest, Counter(flag["recording"] for flag in flags)),
         curves=sparklines(recordings, manifest),
         more=max(0, len(recordings) - MOST_RECORDINGS),
