@@ -1,19 +1,25 @@
 """One description of each figure that is shown: its name, SI unit and digits, values before and after, interval, noise floor.
 
 Console, report, site, cards and Rerun recording take the texts of a figure from here, so that no two of them can differ. A
-:class:`Table` of them is rendered by ``sysid.cli.output.Printer.show``, by the filter ``table`` of :mod:`sysid.reports.pages`,
-and as Markdown.
+:class:`Table` of them is rendered as text, as Markdown, and by the filter ``table`` of :mod:`sysid.reports.pages`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+import re
+import textwrap
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from sysid.display import NOTHING, decimals_for, digits_for, fixed, interval, quantity, ratio, shown_unit
+from sysid.foreign import visible
 from sysid.quoting import markdown
+
+#: Characters of one cell of a table.
+MAX_CELL = 1000
 
 
 @dataclass(frozen=True)
@@ -27,17 +33,96 @@ class Table:
         row_classes: number of a row → its class in the style sheet of a page.
     """
 
-    header: tuple[str, ...]
+    header: tuple[str, ...] = ()
     rows: Sequence[Sequence[object]] = ()
     right: Collection[int] = ()
     title: str = ""
     empty: str = ""
     row_classes: Mapping[int, str] = field(default_factory=dict)
 
+    def text(self, width: int) -> tuple[list[str], range]:
+        """Lines for a terminal of a width in columns, and the numbers of those of the header.
+
+        Cells are wrapped between words; where that is not enough for the width, every row is a list of its cells.
+        """
+        cells = [[visible(cell, MAX_CELL) for cell in row] for row in self.rows]
+        fits = ((gap, _widths([self.header, *cells], width, gap)) for gap in (3, 2, 1))
+        gap, widths = next(((gap, found) for gap, found in fits if found is not None), (0, None))
+        if widths is None:
+            return [*(line for row in cells for line in self._listed(row, width)), ""], range(0)
+        wide = sum(widths) + gap * (len(widths) - 1)
+        edge = " " * (wide + 2)
+        head = list(_aligned(self.header, widths, self.right, gap))
+        body = (line for row in cells for line in _aligned(row, widths, self.right, gap))
+        return [edge, *head, f" {'─' * wide} ", *body, edge], range(1, 1 + len(head))
+
+    def _listed(self, row: Sequence[str], width: int) -> Iterator[str]:
+        """An empty line, and each cell of a row below its header."""
+        yield ""
+        for number, (name, cell) in enumerate(zip(self.header, row, strict=True)):
+            if cell:
+                label, indent = (f"{name}: " if name else ""), "  " if number else " "
+                yield from textwrap.wrap(
+                    f"{label}{cell}", width, break_long_words=False, break_on_hyphens=False,
+                    initial_indent=indent, subsequent_indent=f"{indent}  ",
+                )  # fmt: skip
+
     def markdown(self) -> str:
         """The table as Markdown."""
         lines = [self.header, tuple("---" for _ in self.header), *self.rows]
         return "\n".join("| " + " | ".join(markdown(str(cell)) for cell in line) + " |" for line in lines)
+
+
+#: Where a cell may be broken: not in a pair such as ``3.2 / 4.1``.
+BREAK = re.compile(r"(?<!/) (?!/)")
+
+
+def _widths(rows: Sequence[Sequence[str]], width: int, gap: int) -> list[int] | None:
+    """Widths of columns that take at most ``width`` together with gaps between them.
+
+    No column is narrower than its longest word; None where that is too wide.
+    """
+    from rich.cells import cell_len
+
+    columns = list(zip(*rows, strict=True))
+    found, room = [max(map(cell_len, column)) for column in columns], width - gap * (len(columns) - 1) - 2
+    if sum(found) <= room:  # always so for a table of many rows, whose words are not counted
+        return found
+    least = [max(cell_len(word) for cell in column for word in BREAK.split(cell)) for column in columns]
+    while sum(found) > room:
+        wide = [number for number in range(len(found)) if found[number] > least[number]]
+        if not wide:
+            return None
+        found[max(wide, key=lambda number: found[number])] -= 1
+    return found
+
+
+def _wrapped(cell: str, width: int) -> list[str]:
+    """The lines of a cell: words up to a width in columns of the terminal."""
+    from rich.cells import cell_len
+
+    if cell_len(cell) <= width:
+        return [cell]
+    lines = [""]
+    for word in BREAK.split(cell):
+        longer = f"{lines[-1]} {word}" if lines[-1] else word
+        if cell_len(longer) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int], right: Collection[int], gap: int) -> Iterator[str]:
+    """The lines of the cells side by side, padded to widths in columns of the terminal."""
+    from rich.cells import cell_len
+
+    for line in itertools.zip_longest(*map(_wrapped, row, widths), fillvalue=""):
+        parts = []
+        for number, (cell, width) in enumerate(zip(line, widths, strict=True)):
+            space = " " * (width - cell_len(cell))
+            parts.append(f"{space}{cell}" if number in right else f"{cell}{space}")
+        yield f" {(' ' * gap).join(parts)} "
 
 
 # -- errors of a simulation ---------------------------------------------------------------------------------------------
@@ -198,18 +283,13 @@ class NetworkError:
 
 def stored_errors(metrics: Mapping[str, float]) -> list[NetworkError]:
     """RMSE, 95 % and maximum of every output, from the figures that are stored with a version of a network."""
-    found: dict[tuple[str, str], dict[str, float]] = {}
+    found: dict[tuple[str, str], dict[str, Any]] = {}
     for key, value in metrics.items():
         output, _, figure = key.rpartition(".")
         signal, rows = output_of(output)
         if figure in ("rmse", "p95", "max") and signal:
             found.setdefault((signal, rows), {})[figure] = value
-    return [
-        NetworkError(
-            signal, rows, output_unit(signal), own.get("rmse", math.nan), own.get("p95", math.nan), own.get("max", math.nan)
-        )
-        for (signal, rows), own in found.items()
-    ]
+    return [NetworkError(signal, rows, output_unit(signal), **own) for (signal, rows), own in found.items()]
 
 
 #: Kind of rows → words.

@@ -81,7 +81,10 @@ class ModelVersions:
         rules = policy or PromotionPolicy()
         try:
             data = self._dataset(version, dataset)
-            checks = self._evaluated(version, champion, rules, data, path or "policy")
+            other = None
+            if champion is not None and champion.reference != version.reference:
+                other = self.workspace.validation(champion.reference, data)
+            checks = policy_checks(rules, self.workspace.validation(version.reference, data), other, path or "policy")
             judged = evaluated_by(rules, version.kind, path, data.reference)
         except (ExcitationError, StoreError) as reason:
             if not word:
@@ -158,14 +161,6 @@ class ModelVersions:
             return self.workspace.validation(version.reference, self._dataset(version))
         except (StoreError, ExcitationError):
             return None
-
-    def _evaluated(
-        self, version: ModelVersion, champion: ModelVersion | None, policy: PromotionPolicy, data: Dataset, where: object
-    ) -> tuple[Check, ...]:
-        other = None
-        if champion is not None and champion.reference != version.reference:
-            other = self.workspace.validation(champion.reference, data)
-        return policy_checks(policy, self.workspace.validation(version.reference, data), other, where)
 
     def _dataset(self, version: ModelVersion, reference: str | None = None) -> Dataset:
         """The dataset version that a network was fitted on, by digest, or a named one.

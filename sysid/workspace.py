@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -40,7 +41,7 @@ from sysid.registry import CHAMPION, NETWORKS, DamagedModel, ModelVersion, Regis
 from sysid.registry.policy import load_policy
 from sysid.registry.version import sha256
 from sysid.release import __version__
-from sysid.reports import ReportInputs, VersionNote
+from sysid.reports import ReportInputs
 from sysid.root import Root
 from sysid.validate import ValidationReport, validate_model
 
@@ -208,14 +209,6 @@ class Workspace:
         promoted = self.models.promoted(model_name(dataset.machine.name)) if reference is None else None
         return self.plant(dataset, promoted.reference if promoted is not None else reference)
 
-    def results(self, dataset: Dataset) -> Path:
-        """Folder of the results of a dataset version.
-
-        Raises:
-            StoreError: it is a link.
-        """
-        return self.root.path(_results(dataset))
-
     def output(self, path: str, dataset: Dataset | None = None) -> Path:
         """Path of a file to be written, relative to the workspace or the results of a dataset version; its folder is created.
 
@@ -270,20 +263,17 @@ class Workspace:
             result: a gap result that is not stored; default: the stored one.
         """
         result = result if result is not None else self.gap(dataset)
-        versions = [self.network_version(dataset, kind) for kind in NETWORKS]
+        networks = [version for kind in NETWORKS if (version := self.network_version(dataset, kind)) is not None]
+        plants = dict.fromkeys((result.plant_before, result.plant_after) if result is not None else ())
         validations, aligned = [], with_residuals(dataset.clocks)
-        for version in versions:
-            if version is None:
-                continue
-            try:
+        for version in networks:
+            with suppress(ExcitationError):  # no held-out recording measures its signals: listed without figures
                 validations.append(self.validation(version.reference, dataset))
-            except ExcitationError:
-                continue  # no held-out recording measures its signals: listed without figures
         return ReportInputs(
             dataset=dataset,
             gap=result,
             validations=tuple(validations),
-            versions=self._notes(dataset, [version for version in versions if version is not None], result),
+            versions=(*networks, *(self.models.find(reference) for reference in plants if "@" in reference)),
             created=f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0"),
             excitation=excitation_report(dataset, self._tested_plant(dataset, result)),
             clocks=clock_residuals(self.datasets.channels(dataset.reference, aligned), dataset.clocks) if aligned else (),
@@ -296,22 +286,9 @@ class Workspace:
         known = "@" in reference and any(version.reference == reference for version in self.models.list("plant"))
         return self.plant(dataset, reference if known else None)
 
-    def _notes(self, dataset: Dataset, networks: list[ModelVersion], result: GapResult | None) -> tuple[VersionNote, ...]:
-        notes = [VersionNote(dataset.reference, "dataset", dataset.digest, note=f"{len(dataset.sources)} raw files")]
-        notes += [_note(version) for version in networks]
-        for reference in dict.fromkeys((result.plant_before, result.plant_after) if result is not None else ()):
-            if "@" in reference:
-                notes.append(_note(self.models.find(reference)))
-        return tuple(notes)
-
 
 def _results(dataset: Dataset) -> str:
     return f"results/{check_dataset_name(dataset.name)}@{dataset.version}"
-
-
-def _note(version: ModelVersion) -> VersionNote:
-    parents = [str(version.lineage[key]) for key in ("dataset", "plant", "networks") if version.lineage.get(key)]
-    return VersionNote(version.reference, version.kind, version.digest, tuple(parents), ", ".join(version.aliases))
 
 
 def open_workspace(location: str | os.PathLike[str]) -> Workspace:

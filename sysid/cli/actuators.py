@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.datasets import ReferenceGroup
-from sysid.cli.output import Printer, command, json_option, write_json
+from sysid.cli.output import Printer, command, json_option
 
 if TYPE_CHECKING:
     from sysid.actuators import ActuatorCard
@@ -30,18 +30,17 @@ def actuators() -> None:
 @actuators.command()
 @click.argument("name", metavar="NAME", required=False)
 @json_option
-def show(name: str | None, json_file: str | None) -> None:
+def show(name: str | None, out: Printer) -> None:
     """List the cards, or show one."""
     from sysid.actuators import card_named, card_names
 
-    out = Printer(json_file)
     if name is not None:
         card = card_named(name)
         _show(out, card)
-        write_json(json_file, card.to_json())
+        out.json(card.to_json())
         return
     cards = [card_named(each) for each in card_names()]
-    write_json(json_file, {"schema": 1, "cards": [card.to_json() for card in cards]})
+    out.json({"schema": 1, "cards": [card.to_json() for card in cards]})
     out.table(("name", "what", "data", "held-out error: default → card"), [_row(card) for card in cards])
     out.line(f"{command('actuators', 'show', 'NAME')} shows one.")
 

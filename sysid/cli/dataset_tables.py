@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sysid.cli.output import Printer, command, write_json
+from sysid.cli.output import Printer, command
 from sysid.display import NOTHING, percent
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def _complete(recording: Recording) -> float:
     return there / max(len(recording) * len(recording.signals), 1)
 
 
-def show_quality(location: str, reference: str | None, json_file: str | None) -> None:
+def show_quality(location: str, reference: str | None, out: Printer) -> None:
     """Print evidence, flags and the verdict for every effect, and write them as JSON."""
     from sysid.datasets.checks.run import check_plausibility
     from sysid.datasets.quality.evidence import evidence_of
@@ -67,15 +67,13 @@ def show_quality(location: str, reference: str | None, json_file: str | None) ->
     verdicts = excitation_report(dataset, workspace.plant(dataset))
     findings = check_plausibility(dataset)
     flags = list(dataset.quality.get("flags", ()))
-    out = Printer(json_file)
     show_evidence(out, evidence, dataset)
     show_flags(out, flags)
     show_findings(out, findings)
     found = show_roles(out, dataset, location, needs=False)  # the verdicts have them
     show_excitation(out, verdicts, dataset)
     out.line(f"Pictures: {command('report', dataset.reference, workspace=location)}")
-    write_json(
-        json_file,
+    out.json(
         {
             "schema": 1,
             "dataset": dataset.reference,
@@ -128,10 +126,9 @@ def show_excitation(out: Printer, found: ExcitationReport, dataset: Dataset) -> 
         for request in found.requests:
             out.entry(request_text(request, dataset.machine), "  → ")
         out.line()
-    if ready:
-        firsts = [(group, group.verdicts[0]) for group in by_effect(ready, dataset.machine)]
-        lines = [(group.title, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
-        out.table(("ready", "where", "have", "need", "of what"), lines, right=(2, 3))
+    firsts = [(group, group.verdicts[0]) for group in by_effect(ready, dataset.machine)]
+    lines = [(group.title, group.places, spread(group), f"{first.need:g}", first.unit) for group, first in firsts]
+    out.table(("ready", "where", "have", "need", "of what"), lines, right=(2, 3))
     for reason, groups in by_reason(hidden, dataset.machine):
         out.entry(f"cannot be shown: {reason}")
         for group in groups:
@@ -225,13 +222,12 @@ def show_checked(out: Printer, left: Sequence[Finding], findings: Sequence[Findi
         out.entry(f"{word}: {', '.join(finding.keys)}: {finding.lines[0]}")
 
 
-def show_suggestion(location: str, reference: str, json_file: str | None) -> None:
+def show_suggestion(location: str, reference: str, out: Printer) -> None:
     """Present and suggested roles side by side, and the command or the lines of the recipe that apply the suggestion."""
     from sysid.datasets import Store
     from sysid.datasets.checks.roles import unmet_need
     from sysid.datasets.split_suggestion import recipe_splits, suggest_split
 
-    out = Printer(json_file)
     store = Store(location)
     manifest = store.manifest(reference)
     dataset = store.load(f"{manifest['name']}@{manifest['version']}")
@@ -265,7 +261,7 @@ def show_suggestion(location: str, reference: str, json_file: str | None) -> Non
             "Or write it in the recipe, and ingest the logs again:" if applied else "Write in the recipe, and ingest again:"
         )
         out.block("\n".join(f"  {line}" for line in found.recipe.splitlines()))
-    write_json(json_file, found.to_json(location))
+    out.json(found.to_json(location))
 
 
 def _show_motion(out: Printer, found: SplitSuggestion) -> None:
@@ -291,13 +287,12 @@ def _show_recordings(out: Printer, found: SplitSuggestion) -> None:
     from sysid.datasets.checks.roles import ROLE_NAMES
 
     changed = {**dict.fromkeys(found.cut, "cut"), **{name: ROLE_NAMES[role] for name, role in found.changed.items()}}
-    if changed:
-        rows = [
-            (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present.roles[name]], changed[name])
-            for name in found.present.roles
-            if name in changed
-        ]
-        out.table(("recording", "length", "now", "suggested"), rows, right=(1,))
+    rows = [
+        (name, f"{found.seconds[name]:.1f} s", ROLE_NAMES[found.present.roles[name]], changed[name])
+        for name in found.present.roles
+        if name in changed
+    ]
+    out.table(("recording", "length", "now", "suggested"), rows, right=(1,))
 
 
 def _show_lacks(out: Printer, title: str, lacks: Sequence[Lack], *, record: bool = False) -> None:

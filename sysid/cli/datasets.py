@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.dataset_tables import show_dataset
-from sysid.cli.output import Printer, json_option, long_arrays_beside, write_json
+from sysid.cli.output import PATH, Printer, json_option, long_arrays_beside
 from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
@@ -51,29 +51,28 @@ def datasets() -> None:
 @click.option("--quality", is_flag=True, help="Coverage, noise, and an excitation verdict for every effect.")
 @json_option
 @click.pass_obj
-def show(location: str, reference: str | None, quality: bool, json_file: str | None) -> None:
+def show(location: str, reference: str | None, quality: bool, out: Printer) -> None:
     """List dataset versions, or show one."""
     if quality or reference is not None:
         long_arrays_beside(location)
     if quality:
         from sysid.cli.dataset_tables import show_quality
 
-        show_quality(location, reference, json_file)
+        show_quality(location, reference, out)
         return
 
-    out = Printer(json_file)
     if reference is not None:
         from sysid.datasets import Store
 
         store = Store(location)
         dataset = store.load(reference)
         show_dataset(out, dataset)
-        write_json(json_file, {**describe(dataset), "tables": tables(store, dataset.reference)})
+        out.json({**describe(dataset), "tables": tables(store, dataset.reference)})
         return
     from sysid.datasets.versions.index import VersionIndex
 
     entries = VersionIndex(location).list()
-    write_json(json_file, {"schema": 1, "datasets": [_entry(entry) for entry in entries]})
+    out.json({"schema": 1, "datasets": [_entry(entry) for entry in entries]})
     if not entries:
         out.line(f"No datasets in {location} yet: sysid ingest PATH creates one.")
         return
@@ -93,7 +92,7 @@ def show(location: str, reference: str | None, quality: bool, json_file: str | N
 @click.argument("after", metavar="B")
 @json_option
 @click.pass_obj
-def diff_versions(location: str, before: str, after: str, json_file: str | None) -> None:
+def diff_versions(location: str, before: str, after: str, out: Printer) -> None:
     """Show how version B differs from version A.
 
     Raw files, recipe and machine, clocks, roles, signals and units, values of the tables, and figures of quality.
@@ -102,8 +101,8 @@ def diff_versions(location: str, before: str, after: str, json_file: str | None)
     from sysid.datasets import Store, diff
 
     found = diff(Store(location), before, after)
-    show_diff(Printer(json_file), found)
-    write_json(json_file, found.to_json())
+    show_diff(out, found)
+    out.json(found.to_json())
 
 
 @datasets.command()
@@ -123,7 +122,7 @@ def split(
     select: tuple[str, ...],
     held_out: tuple[str, ...],
     suggest: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Create a version with other roles of the recordings; the tables are not copied.
 
@@ -135,12 +134,11 @@ def split(
 
         if fit or select or held_out:
             raise SettingsError("sysid datasets split", "--suggest with roles", "one of them")
-        show_suggestion(location, reference, json_file)
+        show_suggestion(location, reference, out)
         return
     from sysid.datasets import Store
     from sysid.datasets.splits import with_roles
 
-    out = Printer(json_file)
     store = Store(location)
     manifest = store.manifest(reference)
     base = f"{manifest['name']}@{manifest['version']}"
@@ -148,16 +146,16 @@ def split(
     dataset = store.resplit(base, roles)
     show_dataset(out, dataset)
     out.line(f"{base} has these roles already." if dataset.reference == base else f"{dataset.reference}: the tables of {base}.")
-    write_json(json_file, {**describe(dataset), "base": base})
+    out.json({**describe(dataset), "base": base})
 
 
 @datasets.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
 @click.argument("folder", metavar="FOLDER", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--out", required=True, metavar="DIR", type=click.Path(path_type=Path), help="A new folder.")
+@click.option("--out", "target", required=True, metavar="DIR", type=PATH, help="A new folder.")
 @json_option
 @click.pass_obj
-def shift(location: str, reference: str, folder: Path, out: Path, json_file: str | None) -> None:
+def shift(location: str, reference: str, folder: Path, target: Path, out: Printer) -> None:
     """Write a LeRobot dataset with every action as late as its motion.
 
     FOLDER is the LeRobot dataset that NAME was made from. Every action becomes later by the delay of the motion behind it, as
@@ -168,8 +166,8 @@ def shift(location: str, reference: str, folder: Path, out: Path, json_file: str
     from sysid.logs.lerobot import LeRobotReader
     from sysid.logs.lerobot_shift import write_shifted
 
-    printer, store = Printer(json_file), Store(location)
-    responses = show_responses(printer, store.load(reference))
+    store = Store(location)
+    responses = show_responses(out, store.load(reference))
     actions = {
         signal.removesuffix(".command"): str(source["field"])
         for part in store.manifest(reference)["parts"]
@@ -181,18 +179,18 @@ def shift(location: str, reference: str, folder: Path, out: Path, json_file: str
     if not actions:
         raise SettingsError(f"dataset {reference}", "no command of a LeRobot dataset", "one that sysid start or a recipe made")
     delays = {actions[r["axis"]]: r["delay"] for r in responses if r["axis"] in actions and math.isfinite(r["delay"])}
-    write_shifted(folder, out, delays)
+    write_shifted(folder, target, delays)
     for axis in (axis for axis, field in actions.items() if field not in delays):
-        printer.line(f"{axis}: no delay is known; its action stays")
-    printer.line(f"made  {out}")
-    write_json(json_file, {"schema": 1, "made": out, "delays": delays})
+        out.line(f"{axis}: no delay is known; its action stays")
+    out.line(f"made  {target}")
+    out.json({"schema": 1, "made": target, "delays": delays})
 
 
 @datasets.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def lineage(location: str, reference: str, json_file: str | None) -> None:
+def lineage(location: str, reference: str, out: Printer) -> None:
     """Show the sources of a version, and the models made from it."""
     from sysid.cli.version_tables import show_lineage
     from sysid.datasets import lineage as lineage_of
@@ -201,20 +199,18 @@ def lineage(location: str, reference: str, json_file: str | None) -> None:
     workspace = open_workspace(location)
     found = lineage_of(workspace.datasets, reference)
     models = workspace.made_from(found.dataset, found.digest)
-    show_lineage(Printer(json_file), found, models)
-    write_json(json_file, {**found.to_json(), "models": [{"model": m.reference, "kind": m.kind} for m in models]})
+    show_lineage(out, found, models)
+    out.json({**found.to_json(), "models": [{"model": m.reference, "kind": m.kind} for m in models]})
 
 
 @datasets.command()
 @click.argument("references", metavar="[NAME[@VERSION]]…", nargs=-1)
-@click.option("--keep", type=int, default=None, metavar="N", help="Remove all but the newest N versions of each dataset.")
+@click.option("--keep", type=int, metavar="N", help="Remove all but the newest N versions of each dataset.")
 @click.option("--dry-run", is_flag=True, help="Only list what would be removed.")
 @click.option("--yes", is_flag=True, help="Remove it. Not needed if versions are named.")
 @json_option
 @click.pass_obj
-def vacuum(
-    location: str, references: tuple[str, ...], keep: int | None, dry_run: bool, yes: bool, json_file: str | None
-) -> None:
+def vacuum(location: str, references: tuple[str, ...], keep: int | None, dry_run: bool, yes: bool, out: Printer) -> None:
     """Remove left-overs of interrupted work, and versions, but none that a model was made from.
 
     NAME@VERSION is removed; NAME alone limits the command to that dataset. Without a named version and without --yes, what
@@ -231,10 +227,10 @@ def vacuum(
     workspace = open_workspace(location)
     only_list = dry_run or not (named or yes)
     found = workspace.vacuum(references, keep=keep, dry_run=only_list)
-    show_vacuumed(Printer(json_file), found, workspace.models.uri, hint=only_list and not dry_run)
+    show_vacuumed(out, found, workspace.models.uri, hint=only_list and not dry_run)
     removed = [{"what": item.what, "size": item.size} for item in found.removed]
     kept = [{"what": item.what, "reason": item.reason} for item in found.kept]
-    write_json(json_file, {"schema": 1, "dry_run": found.dry_run, "size": found.size, "removed": removed, "kept": kept})
+    out.json({"schema": 1, "dry_run": found.dry_run, "size": found.size, "removed": removed, "kept": kept})
     refused = [item for item in found.kept if item.what in references]
     if refused:
         raise StoreError(refused[0].what, f"not removed: {refused[0].reason}", "a version without models made from it")

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import click
 
-from sysid.cli.output import json_option, write_json_text
+from sysid.cli.output import Printer, json_option, write_json_text
 from sysid.errors import SettingsError
 
 PIPELINE, ARM = "pipelines/first_look.py", "pipelines/demo_arm.py"
@@ -25,7 +25,7 @@ PIPELINE, ARM = "pipelines/first_look.py", "pipelines/demo_arm.py"
 )
 @json_option
 @click.pass_obj
-def demo(workspace: str, arm: bool, hide: tuple[str, ...], json_file: str | None) -> None:
+def demo(workspace: str, arm: bool, hide: tuple[str, ...], out: Printer) -> None:
     """Run the whole workflow on the shipped logs of a hydraulic crane, or on logs of a simulated arm.
 
     Networks are fitted where torch is installed, and a Rerun recording is written where rerun-sdk is. --arm needs the packages
@@ -37,7 +37,7 @@ def demo(workspace: str, arm: bool, hide: tuple[str, ...], json_file: str | None
         raise SettingsError("sysid demo", "--hide without --arm", "both, or neither", "Add --arm.")
     module = _load(shipped.shipped_file(ARM if arm else PIPELINE, shipped.CHECKOUT, shipped.SHIPPED))
     result: Path = module.main(Path(workspace), hide or module.HIDDEN) if arm else module.main(Path(workspace))
-    write_json_text(json_file, result.read_text("utf-8"))
+    write_json_text(out.json_file, result.read_text("utf-8"))
 
 
 def _load(path: Path) -> ModuleType:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.output import PATH, Printer, json_option, progress_bar
 
 if TYPE_CHECKING:
     from sysid.export.export import Export
@@ -20,17 +20,8 @@ NAMES = ("mjcf", "urdf", "sdf", "isaaclab", "newton", "fmu", "simulink", "lut", 
 @click.command()
 @click.argument("reference", metavar="PLANT[@VERSION] | actuators/NAME")
 @click.option("--to", "target", required=True, metavar="TARGET", help=f"{', '.join(NAMES)}.")
-@click.option(
-    "--out",
-    "folder",
-    type=click.Path(path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="A new folder, or that of an earlier export.",
-)
-@click.option(
-    "--dataset", default=None, metavar="NAME[@VERSION]", help="Whose held-out recordings are replayed. Default: its own."
-)
+@click.option("--out", "folder", type=PATH, required=True, metavar="DIR", help="A new folder, or that of an earlier export.")
+@click.option("--dataset", metavar="NAME[@VERSION]", help="Whose held-out recordings are replayed. Default: its own.")
 @click.option("--samples", type=click.IntRange(1, 1_000_000), default=1000, show_default=True, help="Draws of the parameters.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the draws.")
 @click.option("--force", is_flag=True, help="Keep an export that does not agree with the plant.")
@@ -38,13 +29,12 @@ NAMES = ("mjcf", "urdf", "sdf", "isaaclab", "newton", "fmu", "simulink", "lut", 
 @click.pass_obj
 def export(
     location: str, reference: str, target: str, folder: Path, dataset: str | None, samples: int, seed: int, force: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:  # fmt: skip
     """Write a plant for another simulator, and keep it only if it replays the held-out recordings as the plant does.
 
     The card of an actuator (`sysid actuators`) is written in the same way, without a replay.
     """
-    out = Printer(json_file)
     with progress_bar("export") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.actuators import is_card
@@ -61,7 +51,7 @@ def export(
             force=force, progress=progress,
         )  # fmt: skip
     _show(out, made, recorded.units if recorded is not None else {})
-    write_json(json_file, made.to_json())
+    out.json(made.to_json())
 
 
 def _show(out: Printer, made: Export, units: Mapping[str, str]) -> None:

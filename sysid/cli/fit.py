@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid.cli.network_tables import show_calibration, show_coverage, show_directions, show_errors
-from sysid.cli.output import Printer, cluster_option, json_option, progress_bar, workers_option, write_json
+from sysid.cli.output import PATH, Printer, cluster_option, json_option, progress_bar, workers_option
 
 if TYPE_CHECKING:
     from sysid.front.networks import FittedNetwork, Kind
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("kind", type=click.Choice(["actuator", "motion", "forward"]))
 @click.argument("references", nargs=-1, required=True, metavar="NAME[@VERSION]…")
-@click.option(
-    "--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Keys that differ from the default."
-)
+@click.option("--recipe", type=PATH, metavar="R.toml", help="Keys that differ from the default.")
 @workers_option
 @cluster_option("For several datasets: address of a Dask scheduler, as tcp://HOST:PORT.")
 @json_option
@@ -35,7 +33,7 @@ def fit(
     workers: int,
     cluster: str | None,
     trusted_network: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Fit the networks of datasets: actuator (cylinder ↔ joint), motion (commands → motion) or forward (joints → tip).
 
@@ -48,11 +46,10 @@ def fit(
     from sysid.networks import load_recipe
 
     settings = load_recipe(recipe)
-    out = Printer(json_file)
     if len(references) == 1:
         found = networks.fit(kind, references[0], location, recipe=settings)
         _show(out, found, location)
-        write_json(json_file, {"schema": 1, **found.to_json()})
+        out.json({"schema": 1, **found.to_json()})
         return
     from sysid.execution import open_executor
 
@@ -61,7 +58,7 @@ def fit(
         results = open_executor(cluster, workers, trusted_network=trusted_network).run(_task, calls, progress, reports=True)
     columns = ("model", "network output", "rows", "rmse", "95 %", "max", "time")
     out.table(columns, [row for result in results for row in _rows(result)], right=(3, 4, 5, 6))
-    write_json(json_file, {"schema": 1, "fits": results})
+    out.json({"schema": 1, "fits": results})
 
 
 def _task(location: str, kind: Kind, reference: str, settings: NetworkRecipe, progress: Progress) -> dict[str, Any]:
@@ -105,7 +102,7 @@ def _rows(result: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def validate(location: str, model: str, reference: str, json_file: str | None) -> None:
+def validate(location: str, model: str, reference: str, out: Printer) -> None:
     """Evaluate a fitted network on held-out recordings.
 
     On another dataset than its own, it also tests for drift: whether the recordings lie inside the fitted ranges, and whether
@@ -114,7 +111,6 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
     from sysid.cli.version_tables import show_drift
     from sysid.front import networks
 
-    out = Printer(json_file)
     found = networks.validate(model, reference, location)
     if found.report is not None:
         show_errors(out, found.report)
@@ -126,4 +122,4 @@ def validate(location: str, model: str, reference: str, json_file: str | None) -
         out.line(f"The test for drift is not possible: {found.not_tested}")
     if found.not_evaluated:
         out.line(f"No error report: {found.not_evaluated}")
-    write_json(json_file, found.to_json())
+    out.json(found.to_json())

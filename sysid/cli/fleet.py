@@ -3,21 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 
-from sysid.cli.output import Printer, cluster_option, json_option, progress_bar, workers_option, write_json
+from sysid.cli.output import PATH, Printer, cluster_option, json_option, progress_bar, workers_option
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sysid.fleet.result import Condition
 
 #: The page, relative to the workspace; the next call replaces it.
 PAGE = "fleet/fleet.html"
 #: Exit status if the condition of --fail-on holds.
 FAILED = 3
-Condition = Literal["differs", "drift", "any"]
 
-_plant_option = click.option(
-    "--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one."
-)
+_plant_option = click.option("--plant", metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
+
+
+def _false_alarms_option(of: str) -> Callable[[Any], Any]:
+    return click.option(
+        "--false-alarms",
+        type=click.FloatRange(0.0, min_open=True),
+        default=1.0,
+        show_default=True,
+        help=f"Accepted false alarms {of}, in 1000 hours of recorded motion.",
+    )
+
+
+def _fail(out: Printer, condition: str) -> NoReturn:
+    """End with the status of ``--fail-on``."""
+    out.line(f"Status {FAILED}: --fail-on {condition} holds.")
+    raise SystemExit(FAILED)
 
 
 @click.group()
@@ -34,17 +52,10 @@ def fleet() -> None:
 @_plant_option
 @workers_option
 @cluster_option()
-@click.option(
-    "--false-alarms",
-    type=click.FloatRange(0.0, min_open=True),
-    default=1.0,
-    show_default=True,
-    help="Accepted false alarms of drift for each machine, in 1000 hours of recorded motion.",
-)
+@_false_alarms_option("of drift for each machine")
 @click.option(
     "--fail-on",
     type=click.Choice(["differs", "drift", "any"]),
-    default=None,
     help="End with status 3 if machines differ, or if a parameter drifts, for a scheduled run.",
 )
 @json_option
@@ -58,13 +69,12 @@ def gap(
     trusted_network: bool,
     false_alarms: float,
     fail_on: Condition | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Name the effects that the simulation of a type lacks, the machines on which they differ, and those that drift.
 
     One dataset is one machine; its recordings are in the order of their time stamps.
     """
-    out = Printer(json_file)
     with progress_bar("fleet") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.execution import open_executor
@@ -84,15 +94,14 @@ def gap(
     for note in result.notes:
         out.line(f"note: {note}")
     out.line(f"Page: {write_page(workspace.output(PAGE), fleet_page(result, machine))}")
-    write_json(json_file, result.to_json())
+    out.json(result.to_json())
     if fail_on is not None and result.fulfils(fail_on):
-        out.line(f"Status {FAILED}: --fail-on {fail_on} holds.")
-        raise SystemExit(FAILED)
+        _fail(out, fail_on)
 
 
 @fleet.command()
 @click.argument("name", metavar="NAME")
-@click.argument("folders", metavar="[FOLDER]…", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("folders", metavar="[FOLDER]…", nargs=-1, type=PATH)
 @_plant_option
 @click.option(
     "--like",
@@ -100,13 +109,7 @@ def gap(
     metavar="NAME[@VERSION]",
     help="Another machine of the type, whose named effects are watched as well; may be repeated.",
 )
-@click.option(
-    "--false-alarms",
-    type=click.FloatRange(0.0, min_open=True),
-    default=1.0,
-    show_default=True,
-    help="Accepted false alarms of the machine, in 1000 hours of recorded motion.",
-)
+@_false_alarms_option("of the machine")
 @click.option(
     "--quiet",
     type=click.FloatRange(0.0),
@@ -118,7 +121,6 @@ def gap(
 @click.option(
     "--fail-on",
     type=click.Choice(["drift", "new"]),
-    default=None,
     help="End with status 3 if a parameter drifts, or only if no call has reported it before.",
 )
 @json_option
@@ -133,13 +135,12 @@ def watch(
     quiet: float,
     restart: bool,
     fail_on: Literal["drift", "new"] | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Watch one machine: add the recordings that arrived in FOLDER to NAME, and name the effects that drift.
 
     The first call names the effects of the dataset. Each later call estimates them in the new recordings only.
     """
-    out = Printer(json_file)
     with progress_bar("watch") as progress:
         progress(0.0, "loading")  # the numerical libraries, which takes seconds
         from sysid.fleet.page import drift_table, fleet_page
@@ -178,7 +179,6 @@ def watch(
     out.show(drift_table(result.fleet, machine))
     page = write_page(workspace.output(f"fleet/watch/{name}.html"), fleet_page(result.fleet, machine))
     out.line(f"Page: {page}")
-    write_json(json_file, result.to_json())
+    out.json(result.to_json())
     if (fail_on == "drift" and result.fleet.drifts) or (fail_on == "new" and result.noticed):
-        out.line(f"Status {FAILED}: --fail-on {fail_on} holds.")
-        raise SystemExit(FAILED)
+        _fail(out, fail_on)

@@ -9,12 +9,21 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sysid.cli.gap_tables import show_gap, show_localised, show_missing, show_repair, show_responses, show_world
-from sysid.cli.output import Printer, cluster_option, command, json_option, progress_bar, workers_option, write_json
+from sysid.cli.output import (
+    FILE,
+    FOLDER,
+    Printer,
+    cluster_option,
+    command,
+    json_option,
+    progress_bar,
+    workers_option,
+)
 from sysid.errors import InputError, SettingsError, nearest
 
 if TYPE_CHECKING:
@@ -23,8 +32,8 @@ if TYPE_CHECKING:
     from sysid.gap import Simulator
     from sysid.gap.adapters.adapter import SimulatorAdapter
     from sysid.gap.result import GapResult
+    from sysid.gap.stage_search import Forms
     from sysid.plant import Plant
-
 
 #: Prefix of an MJCF.
 MUJOCO = "mujoco:"
@@ -66,9 +75,8 @@ def load_simulator(place: str) -> Simulator:
     file, _, name = place.rpartition(":")
     path = Path(file)
     if path.suffix != ".py" or not name.isidentifier():
-        raise SettingsError(
-            f"--simulator {place}", "not a file and a name in it", "FILE.py:NAME, as in crane.py:Crane, or mujoco:FILE.xml"
-        )
+        expected = "FILE.py:NAME, as in crane.py:Crane, or mujoco:FILE.xml"
+        raise SettingsError(f"--simulator {place}", "not a file and a name in it", expected)
     if not path.is_file():
         raise InputError(f"--simulator {path}", "no such file", "a Python file")
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -90,12 +98,8 @@ def load_simulator(place: str) -> Simulator:
     finally:
         sys.path.remove(str(path.resolve().parent))
     if not isinstance(simulator, Simulator):
-        raise InputError(
-            f"--simulator {place}",
-            f"{name} has no method simulate",
-            "simulate(recording) → DataFrame",
-            "See sysid.gap.Simulator.",
-        )
+        found_text, expected = f"{name} has no method simulate", "simulate(recording) → DataFrame"
+        raise InputError(f"--simulator {place}", found_text, expected, "See sysid.gap.Simulator.")
     return simulator
 
 
@@ -150,14 +154,6 @@ def write_model(
     }
 
 
-def _card(name: str | None) -> ActuatorCard | None:
-    if name is None:
-        return None
-    from sysid.actuators import card_named
-
-    return card_named(name)
-
-
 def show_card(out: Printer, card: ActuatorCard, result: GapResult) -> dict[str, Any]:
     """The values of a result beside those of a card; returns them as values for JSON."""
     from sysid.actuators.compare import compared, comparison_table
@@ -167,15 +163,11 @@ def show_card(out: Printer, card: ActuatorCard, result: GapResult) -> dict[str, 
     return {"name": card.name, "values": [{**asdict(row), "ratio": row.ratio} for row in rows]}
 
 
-Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that would load the compiler
-
-
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
+@click.option("--plant", metavar="PLANT[@VERSION]", help="The simulation to test; else the nominal one.")
 @click.option(
     "--simulator",
-    default=None,
     metavar="FILE.py:NAME|mujoco:FILE.xml",
     help="Test a simulator of your own: an object with simulate(recording), or its class; or a MuJoCo model.",
 )
@@ -183,15 +175,14 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     "--assets",
     multiple=True,
     metavar="DIR",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="With --simulator mujoco:FILE.xml: a folder outside of the model's below which it may open files; may be repeated.",
 )
 @click.option(
     "--out",
     "out_file",
-    default=None,
     metavar="FILE.xml",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="With --simulator mujoco:FILE.xml: write the repaired model here. --add: beside the model, as FILE.repaired.xml.",
 )
 @click.option("--localise", is_flag=True, help="Only locate the gap.")
@@ -200,9 +191,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
 )
 @click.option("--world/--no-world", default=None, help="Run the proof also in the PyBullet world. Default: only with --add.")
 @click.option(
-    "--carry",
-    is_flag=True,
-    help="Fit a bounded residual network to unnamed errors, where it lowers held-out errors.",
+    "--carry", is_flag=True, help="Fit a bounded residual network to unnamed errors, where it lowers held-out errors."
 )
 @click.option(
     "--forms",
@@ -216,7 +205,7 @@ Forms = Literal["all", "simple"]  # as sysid.gap.workflow has it; importing that
     metavar="KEY",
     help="Continue although this is implausible: the key of a severe finding, or a glob such as 'boom.*'; may be repeated.",
 )
-@click.option("--card", default=None, metavar="NAME", help="Compare with the card of an actuator: sysid actuators.")
+@click.option("--card", metavar="NAME", help="Compare with the card of an actuator: sysid actuators.")
 @workers_option
 @cluster_option()
 @click.option("--verbose", is_flag=True, help="Every near miss and next step, at full length.")
@@ -240,24 +229,19 @@ def gap(
     cluster: str | None,
     trusted_network: bool,
     verbose: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Name the effects that the simulation lacks, and evaluate them on held-out recordings."""
     from sysid.cli.dataset_tables import show_checked
     from sysid.datasets import Store
     from sysid.datasets.checks.roles import check_needs
-    from sysid.errors import SettingsError
     from sysid.execution import open_executor
 
     if simulator is not None and plant is not None:
         raise SettingsError("sysid gap", "--plant and --simulator", "one of them")
     if localise and carry:
-        raise SettingsError(
-            "sysid gap",
-            "--localise and --carry",
-            "one of them",
-            "A residual network is fitted to the error that the search leaves.",
-        )
+        remedy = "A residual network is fitted to the error that the search leaves."
+        raise SettingsError("sysid gap", "--localise and --carry", "one of them", remedy)
     mjcf = None if simulator is None or not simulator.startswith(MUJOCO) else Path(simulator.removeprefix(MUJOCO))
     if assets and mjcf is None:
         raise SettingsError("sysid gap", "--assets without a MuJoCo model", "--simulator mujoco:FILE.xml")
@@ -265,8 +249,11 @@ def gap(
         raise SettingsError("sysid gap", "--out without a MuJoCo model", "--simulator mujoco:FILE.xml")
     if mjcf is not None and add and out_file is None:
         out_file = repaired_path(mjcf)
-    out = Printer(json_file)
-    known = _card(card)
+    known = None
+    if card is not None:
+        from sysid.actuators import card_named
+
+        known = card_named(card)
     data = Store(location).load(reference)
     check_needs(data)  # before anything is compiled
     with progress_bar("gap") as progress:
@@ -294,6 +281,7 @@ def gap(
     if isinstance(tested, Plant) and plant is not None and "@" not in plant:
         out.line(f"`{plant}` means {tested.reference}.")
     linked = tested.linkages if isinstance(tested, Plant) else dataset.machine.axis_names
+    written = result.to_json(folder)
     for axis in dataset.machine.axes:
         if axis.drives == "cylinder" and axis.name not in linked and f"{axis.name}.joint" in dataset.units:
             fit = command("fit", "actuator", dataset.name, workspace=location)
@@ -309,7 +297,7 @@ def gap(
         if result.experiments:
             out.line()
             out.line("Planned recordings:")
-        for planned, experiment in zip(result.to_json(folder)["experiments"], result.experiments, strict=True):
+        for planned, experiment in zip(written["experiments"], result.experiments, strict=True):
             out.entry(f"{experiment.name}: {experiment.words}", "  ")
             out.line(f"    {planned['file']}")
         if result.plant_after:
@@ -325,7 +313,6 @@ def gap(
                 "The repair is not stored: --add stores it as a new plant version, and promotes it if the proof is good enough."
             )
         out.line(f"Report: {command('report', dataset.reference, workspace=location)}")
-    written = result.to_json(folder)
     if known is not None:
         written["card"] = show_card(out, known, result)
     try:  # the answer is written whatever happens to the files beside it
@@ -335,6 +322,6 @@ def gap(
         elif mjcf is not None and isinstance(tested, SimulatorAdapter | Plant) and out_file is not None:
             written["model"] = write_model(out, tested, result, dataset, mjcf, out_file, assets)
     finally:
-        write_json(json_file, written)
+        out.json(written)
     if result.missing:
         raise SystemExit(1)

@@ -97,8 +97,7 @@ def show_localised(out: Printer, result: GapResult, dataset: Dataset) -> None:
         for number, share in enumerate(of_end):
             what = f"{owner_name(end)} off by {quantity(share.rmse, unit)}" if number == 0 else ""
             shares.append((what, percent(share.share), owner_name(share.target), stage_name(share.stage)))
-    if shares:
-        out.table(("the whole gap", "share", "owner", "stage"), shares, right=(1,))
+    out.table(("the whole gap", "share", "owner", "stage"), shares, right=(1,))
     for item in above_floor(result):
         if maps := maps_of(result, item):
             out.line(f"{signal_name(item.signal)}: {sentence(maps[0], item, dataset.units.get(item.signal, '1'))}")
@@ -160,8 +159,7 @@ def show_delays(out: Printer, result: GapResult, dataset: Dataset) -> None:
         for item in result.delays
         if item.dead_time[0] != item.dead_time[1] or item.lag[0] != item.lag[1]
     ]
-    if rows:
-        out.table(("delay", "dead time", "lag", "together"), rows, right=(1, 2, 3))
+    out.table(("delay", "dead time", "lag", "together"), rows, right=(1, 2, 3))
     if sentence := order_sentence(result.order):
         out.entry(sentence)
 
@@ -210,7 +208,7 @@ def _miss_text(figure: ParameterFigure) -> str:
 
 def show_next_steps(out: Printer, result: GapResult, dataset: Dataset, verbose: bool) -> None:
     """The most useful recordings to make: planned ones, then those for ties, then those for most axes."""
-    from sysid.reports.next_steps import next_steps
+    from sysid.reports.result_figures import next_steps
 
     steps = next_steps(result, dataset)
     if not steps:
@@ -276,7 +274,6 @@ def show_repair(
 
 def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
     """The held-out gap in the PyBullet world and with the compiled plant, before and after."""
-
     found = result.world_gap
     if found is None:
         return
@@ -284,8 +281,7 @@ def show_world(out: Printer, result: GapResult, dataset: Dataset) -> None:
     for name in found.world.before:
         columns = (found.world.before, found.world.after, found.compiled.before, found.compiled.after)
         rows.append((name, *(quantity(column[name], dataset.units.get(name)) for column in columns)))
-    if rows:
-        header = ("in the PyBullet world", "before", "after", "compiled before", "compiled after")
-        out.table(header, rows, right=range(1, 5))
+    header = ("in the PyBullet world", "before", "after", "compiled before", "compiled after")
+    out.table(header, rows, right=range(1, 5))
     if found.skipped:
         out.line(f"Not run in the PyBullet world: {found.skipped}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.dataset_tables import show_dataset
-from sysid.cli.output import Printer, cluster_option, command, json_option, workers_option, write_json
+from sysid.cli.output import PATH, Printer, cluster_option, command, json_option, workers_option
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -17,22 +17,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("paths", metavar="PATH…", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--machine", type=click.Path(path_type=Path), default=None, metavar="machine.toml", help="The machine.")
-@click.option("--recipe", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="Which field is which signal.")
-@click.option("--name", default=None, help="Name of the dataset; else the recipe's, else the machine's.")
-@click.option(
-    "--append", "to", default=None, metavar="NAME[@VERSION]", help="Only read recordings that NAME does not hold, and add them."
-)
-@click.option(
-    "--role", default=None, metavar="fit|select|held_out", help="With --append: role of the new recordings; else the recipe's."
-)
+@click.argument("paths", metavar="PATH…", nargs=-1, required=True, type=PATH)
+@click.option("--machine", type=PATH, metavar="machine.toml", help="The machine.")
+@click.option("--recipe", type=PATH, metavar="R.toml", help="Which field is which signal.")
+@click.option("--name", help="Name of the dataset; else the recipe's, else the machine's.")
+@click.option("--append", "to", metavar="NAME[@VERSION]", help="Only read recordings that NAME does not hold, and add them.")
+@click.option("--role", metavar="fit|select|held_out", help="With --append: role of the new recordings; else the recipe's.")
 @click.option("--inspect", is_flag=True, help="Only show the content of the files, and draft a recipe.")
-@click.option(
-    "--draft", type=click.Path(path_type=Path), default=None, metavar="R.toml", help="With --inspect: write the draft."
-)
-@click.option("--reader", default=None, help="With --inspect: read the files as this format.")
-@click.option("--dbc", type=click.Path(path_type=Path), default=None, help="With --inspect: the database of a CAN log.")
+@click.option("--draft", type=PATH, metavar="R.toml", help="With --inspect: write the draft.")
+@click.option("--reader", help="With --inspect: read the files as this format.")
+@click.option("--dbc", type=PATH, help="With --inspect: the database of a CAN log.")
 @click.option("--propose-frame", is_flag=True, help="Only print the capture frame that follows from the recipe's survey.")
 @workers_option
 @cluster_option()
@@ -54,7 +48,7 @@ def ingest(
     workers: int,
     cluster: str | None,
     trusted_network: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Turn raw logs into a new dataset version.
 
@@ -66,12 +60,12 @@ def ingest(
     if propose_frame:
         from sysid.cli.ingest_inspect import propose
 
-        propose(paths, machine, recipe, json_file)
+        propose(paths, machine, recipe, out)
         return
     if inspect:
         from sysid.cli.ingest_inspect import inspect_paths
 
-        inspect_paths(paths, machine, draft, reader, dbc, json_file)
+        inspect_paths(paths, machine, draft, reader, dbc, out)
         return
     for option, value in (("--draft", draft), ("--reader", reader), ("--dbc", dbc)):
         if value is not None:
@@ -92,7 +86,6 @@ def ingest(
         paths, workspace, machine=machine, recipe=recipe, name=name, append_to=to, role=role, executor=executor
     )
     seconds = time.perf_counter() - begin
-    out = Printer(json_file)
     show_dataset(out, dataset)
     for note in dataset.quality.get("notes", ()):
         out.line(f"note: {note}")
@@ -110,4 +103,4 @@ def ingest(
     out.line(f"{dataset.reference} in {workspace} ({seconds:.1f} s)")
     out.line(f"Coverage and excitation: {command('datasets', dataset.reference, '--quality', workspace=workspace)}")
     plausibility = [finding.to_json() for finding in findings]
-    write_json(json_file, {**describe(dataset), "plausibility": plausibility, **found, "seconds": seconds})
+    out.json({**describe(dataset), "plausibility": plausibility, **found, "seconds": seconds})

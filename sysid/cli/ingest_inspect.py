@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sysid.cli.output import Printer, command, progress_bar, write_json
+from sysid.cli.output import Printer, command, progress_bar
 from sysid.display import quantity, size_text
 from sysid.errors import SettingsError
 from sysid.files import written_whole
@@ -32,7 +32,7 @@ def inspect_paths(
     draft: Path | None,
     reader: str | None,
     dbc: Path | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Show every log file below ``paths``, those of one layout together, and print the drafted recipe or write it to ``draft``.
 
@@ -40,8 +40,6 @@ def inspect_paths(
         InputError: a path without log files.
         SettingsError: ``draft`` exists already, or the machine description is wrong.
     """
-    from dataclasses import asdict
-
     from sysid.datasets.draft import default_machine, draft_recipe, missing_strokes
     from sysid.datasets.layouts import alike
     from sysid.logs.inspection import inspect_file, log_files
@@ -65,7 +63,6 @@ def inspect_paths(
     if draft is not None:  # before printing, which a pager may end early
         with written_whole(draft) as half:
             half.write_text(text, "utf-8")
-    out = Printer(json_file)
     for group in alike(summaries):
         _show(out, group)
     needed = missing_strokes(summaries, description) if description is not None else []
@@ -78,7 +75,7 @@ def inspect_paths(
         out.line()
         out.block(text.rstrip())
     files_ = [asdict(summary) for summary in summaries]
-    write_json(json_file, {"schema": 1, "files": files_, "machine_needs": needed, "recipe": text})
+    out.json({"schema": 1, "files": files_, "machine_needs": needed, "recipe": text})
 
 
 def _machine_entry(machine: Path | None, draft: Path | None) -> str:
@@ -141,8 +138,7 @@ def _show(out: Printer, group: Sequence[FileSummary]) -> None:
             out.line(f"{_count(constant, 'field')} with constant or no numbers not shown")
         fields = [(stream, field) for stream, field in fields if field.high > field.low]
     table = [(stream, *_field_row(field)) for stream, field in fields]
-    if table:
-        out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(table), right=(3, 4, 5))
+    out.table(("stream", "field", "unit", "lowest", "highest", "missing"), _thinned(table), right=(3, 4, 5))
     if len(table) > MAX_FIELDS:
         out.line(f"{len(table) - MAX_FIELDS} more fields (--json FILE lists them all)")
         out.line()
@@ -205,7 +201,7 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, json_file: str | None) -> None:
+def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, out: Printer) -> None:
     """Print a ``[streams.frame]`` for every survey in the recipe.
 
     Raises:
@@ -230,10 +226,9 @@ def propose(paths: Sequence[Path], machine: Path | None, recipe: Path | None, js
     description = load_machine(machine)
     check_against_machine(rules, description, recipe)
     found = propose_frames(paths, rules, description, recipe)
-    out = Printer(json_file)
     for item in found:
         _show_frame(out, item)
-    write_json(json_file, {"schema": 1, "frames": [_plain(item) for item in found]})
+    out.json({"schema": 1, "frames": [_plain(item) for item in found]})
 
 
 def _show_frame(out: Printer, item: SurveyResult) -> None:

@@ -9,7 +9,7 @@ from string import Template
 
 import click
 
-from sysid.cli.output import Printer, command, json_option, write_json
+from sysid.cli.output import FILE, FOLDER, Printer, command, json_option
 from sysid.datasets.robot_files import Choices, drafted_apart
 from sysid.errors import SettingsError
 from sysid.names import listed, slug
@@ -38,31 +38,29 @@ def _template_of(kind: str | None) -> str:
 
 
 @click.command()
-@click.argument("directory", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--name", default=None, help="Name of the machine; the folder's name if left out.")
+@click.argument("directory", metavar="DIR", type=FOLDER)
+@click.option("--name", help="Name of the machine; the folder's name if left out.")
 @click.option(
     "--kind",
     type=click.Choice((*KINDS, "response")),
-    default=None,
     help="What the commands are: valve openings or speeds (hydraulic, the default), positions (servo), forces (force). "
     "With --from an MJCF, response describes servos by their responses instead of their controllers.",
 )
 @click.option(
     "--from",
     "source",
-    default=None,
     metavar="FILE",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Describe the machine from its URDF or MJCF: axes, limits, actuators, masses, friction.",
 )
-@click.option("--base", default=None, metavar="NAME", help="With --from: the link or body that is held still, as on a stand.")
-@click.option("--tip", default=None, metavar="NAME", help="With --from: the end effector, a link (URDF), site or body (MJCF).")
-@click.option("--tool", default=None, metavar="NAME", help="With --from: the link or body of a hanging tool.")
+@click.option("--base", metavar="NAME", help="With --from: the link or body that is held still, as on a stand.")
+@click.option("--tip", metavar="NAME", help="With --from: the end effector, a link (URDF), site or body (MJCF).")
+@click.option("--tool", metavar="NAME", help="With --from: the link or body of a hanging tool.")
 @click.option(
     "--assets",
     multiple=True,
     metavar="DIR",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="With --from: a folder beside that of the MJCF whose files it may open; repeat it for several.",
 )
 @json_option
@@ -75,7 +73,7 @@ def init(
     tip: str | None,
     tool: str | None,
     assets: tuple[Path, ...],
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Create the folders and templates for a machine in DIR. Existing files are not changed."""
     name = name or _name_of(directory)
@@ -101,7 +99,6 @@ def init(
             root.write(relative, text.encode("utf-8"))
             made.append(relative)
     root.make(f"datasets/{name}/logs")
-    out = Printer(json_file)
     for relative in made:
         out.line(f"made  {directory / relative}")
     for relative in kept:
@@ -119,7 +116,7 @@ def init(
     out.line(f"Next: {do} the machine in {folder / 'machine.toml'}, put logs into {folder / 'logs'}/<recording>/, then")
     out.line(f"      {command('ingest', folder)}")
     found = {"made": made, "kept": kept, "left_out": list(left_out), "assumed": list(assumed)}
-    write_json(json_file, {"schema": 1, "directory": directory, "name": name, **found})
+    out.json({"schema": 1, "directory": directory, "name": name, **found})
 
 
 def _name_of(directory: Path) -> str:

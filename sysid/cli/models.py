@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from sysid.cli.datasets import ReferenceGroup
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import PATH, Printer, json_option
 from sysid.errors import SettingsError, StoreError
 
 if TYPE_CHECKING:
@@ -29,15 +29,14 @@ def models() -> None:
 
 @models.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
-@click.option("--kind", default=None, help="actuator, history, motion, forward, plant or policy only.")
+@click.option("--kind", help="actuator, history, motion, forward, plant or policy only.")
 @json_option
 @click.pass_obj
-def show(location: str, reference: str | None, kind: str | None, json_file: str | None) -> None:
+def show(location: str, reference: str | None, kind: str | None, out: Printer) -> None:
     """List model versions, or show one."""
     from sysid.registry import DamagedModel
 
     registry = _registry(location)
-    out = Printer(json_file)
     if reference is not None:
         from sysid.cli.version_tables import show_model
 
@@ -48,13 +47,13 @@ def show(location: str, reference: str | None, kind: str | None, json_file: str 
         show_model(out, version, difference)
         if _has_residual(version):
             out.line(RESIDUAL_NOTE)
-        write_json(json_file, {"schema": 1, **version.to_json()})
+        out.json({"schema": 1, **version.to_json()})
         return
     found = registry.survey(kind)
     versions = [entry for entry in found if not isinstance(entry, DamagedModel)]
     damaged = [entry for entry in found if isinstance(entry, DamagedModel)]
     rows = [{"reference": entry.reference, "damage": str(entry.error)} for entry in damaged]
-    write_json(json_file, {"schema": 1, "models": [version.to_json() for version in versions], "damaged": rows})
+    out.json({"schema": 1, "models": [version.to_json() for version in versions], "damaged": rows})
     if not found:
         out.line(f"No models in {location} yet: sysid fit creates networks, sysid gap creates plants.")
         return
@@ -79,7 +78,7 @@ def _row(entry: ModelVersion | DamagedModel) -> tuple[str, ...]:
 @click.option("--accept", is_flag=True, help="Accept what was changed by hand.")
 @json_option
 @click.pass_obj
-def repair(location: str, accept: bool, json_file: str | None) -> None:
+def repair(location: str, accept: bool, out: Printer) -> None:
     """Repair the registry: migrate old tables, rebuild lost ones from the model files.
 
     Aliases and figures that were changed by hand are restored. Exit status 2 if something cannot be restored.
@@ -87,30 +86,23 @@ def repair(location: str, accept: bool, json_file: str | None) -> None:
     from dataclasses import asdict
 
     found = _registry(location).repair(accept)
-    out = Printer(json_file)
     for line in found.done:
         out.line(line)
     if not found.done and not found.left:
         out.line("The registry is valid: nothing to repair.")
-    write_json(json_file, {"schema": 1, **asdict(found)})
+    out.json({"schema": 1, **asdict(found)})
     if found.left:
         raise StoreError(f"model registry of {location}", " ".join(found.left))
 
 
 @models.command()
 @click.argument("reference", metavar="NAME@VERSION")
-@click.option(
-    "--policy",
-    type=click.Path(path_type=Path),
-    default=None,
-    metavar="P.toml",
-    help="Conditions for a network. Default: no worse than the champion.",
-)
-@click.option("--on", "dataset", default=None, metavar="DATASET", help="Use its held-out rows. Default: that of the fit.")
+@click.option("--policy", type=PATH, metavar="P.toml", help="Conditions for a network. Default: no worse than the champion.")
+@click.option("--on", "dataset", metavar="DATASET", help="Use its held-out rows. Default: that of the fit.")
 @click.option("--anyway", "word", default="", metavar="WHY", help="Promote it regardless of the checks; WHY is recorded.")
 @json_option
 @click.pass_obj
-def promote(location: str, reference: str, policy: Path | None, dataset: str | None, word: str, json_file: str | None) -> None:
+def promote(location: str, reference: str, policy: Path | None, dataset: str | None, word: str, out: Printer) -> None:
     """Make this version the one that the name alone means, if it passes.
 
     Networks are evaluated by a policy, plants by the proof that `sysid gap --add` recorded with them. The decision is stored
@@ -125,8 +117,8 @@ def promote(location: str, reference: str, policy: Path | None, dataset: str | N
         raise SettingsError("sysid models promote", reference, "one version, as in autolog@1")
     rules = load_policy(policy)
     found = _versions(location).promote(reference, rules, policy, word.strip(), dataset)
-    show_promotion(Printer(json_file), found, word.strip())
-    write_json(json_file, {"schema": 1, "promoted": found.promoted, "word": word.strip(), **asdict(found)})
+    show_promotion(out, found, word.strip())
+    out.json({"schema": 1, "promoted": found.promoted, "word": word.strip(), **asdict(found)})
     if not found.promoted:
         remedy = f"To promote it regardless: sysid models promote {found.version} --anyway {ANYWAY}"
         failed = [check for check in found.checks if check.status == "failed"]
@@ -138,13 +130,13 @@ def promote(location: str, reference: str, policy: Path | None, dataset: str | N
 @click.argument("reference", metavar="NAME[@VERSION]")
 @json_option
 @click.pass_obj
-def lineage(location: str, reference: str, json_file: str | None) -> None:
+def lineage(location: str, reference: str, out: Printer) -> None:
     """Show the sources of a version, to the raw files, and what was made from it."""
     from sysid.cli.version_tables import show_model_lineage
 
     found = _versions(location).lineage(reference)
-    show_model_lineage(Printer(json_file), found)
-    write_json(json_file, found.to_json())
+    show_model_lineage(out, found)
+    out.json(found.to_json())
 
 
 @models.command(name="diff")
@@ -152,7 +144,7 @@ def lineage(location: str, reference: str, json_file: str | None) -> None:
 @click.argument("after", metavar="B")
 @json_option
 @click.pass_obj
-def diff_two(location: str, before: str, after: str, json_file: str | None) -> None:
+def diff_two(location: str, before: str, after: str, out: Printer) -> None:
     """Show how version B differs from version A.
 
     Predictions over the common range, recipe, dataset, figures, files, and the geometry of forward models.
@@ -160,36 +152,36 @@ def diff_two(location: str, before: str, after: str, json_file: str | None) -> N
     from sysid.cli.version_tables import show_model_diff
 
     found = _versions(location).diff(before, after)
-    show_model_diff(Printer(json_file), found)
-    write_json(json_file, found.to_json())
+    show_model_diff(out, found)
+    out.json(found.to_json())
 
 
 @models.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="DIR", help="Default: WORKSPACE/exports/NAME@V.")
+@click.option("--out", "target", type=PATH, metavar="DIR", help="Default: WORKSPACE/exports/NAME@V.")
 @click.option("--precision", type=click.Choice(["float32", "float64"]), default="float32", show_default=True)
 @json_option
 @click.pass_obj
 def export(
     location: str,
     reference: str,
-    out: Path | None,
+    target: Path | None,
     precision: Literal["float32", "float64"],
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Write a network as ONNX, and keep it only if it predicts the same."""
     from dataclasses import asdict
 
     from sysid.cli.version_tables import show_exported
 
-    folder, files = _versions(location).export(reference, out, precision)
-    show_exported(Printer(json_file), folder, files)
-    write_json(json_file, {"schema": 1, "folder": str(folder), "files": [asdict(entry) for entry in files]})
+    folder, files = _versions(location).export(reference, target, precision)
+    show_exported(out, folder, files)
+    out.json({"schema": 1, "folder": str(folder), "files": [asdict(entry) for entry in files]})
 
 
 @models.command()
 @click.argument("reference", metavar="NAME[@VERSION]")
-@click.option("--out", type=click.Path(path_type=Path), default=None, metavar="F", help="F.md or F.html; else both in cards/.")
+@click.option("--out", type=PATH, metavar="F", help="F.md or F.html; else both in cards/.")
 @click.pass_obj
 def card(location: str, reference: str, out: Path | None) -> None:
     """Write the card of a version: purpose, errors, limits, lineage, and how to load it."""

@@ -52,9 +52,8 @@ def show_directions(out: Printer, report: ValidationReport) -> None:
                 ]
                 floor = NOTHING if entry.noise_floor is None else f"{factor * entry.noise_floor:.2f}"
                 rows.append((entry.output, *figures, floor, unit))
-    if rows:
-        header = ("by direction of the input: bias / rmse", "falling", "still", "rising", "noise", "unit")
-        out.table(header, rows, right=range(1, 5))
+    header = ("by direction of the input: bias / rmse", "falling", "still", "rising", "noise", "unit")
+    out.table(header, rows, right=range(1, 5))
 
 
 def show_coverage(out: Printer, report: ValidationReport) -> None:
@@ -82,9 +81,8 @@ def show_calibration(out: Printer, calibration: Calibration) -> None:
         relative = NOTHING if model.log_evidence is None else fixed(model.log_evidence, 0)
         errors = (quantity(each, "m") for each in (model.held_out_rmse, model.held_out_median))
         rows.append((model.name, model.parameters, *errors, relative))
-    if rows:
-        header = ("model", "parameters", "held-out RMS distance", "median", "log evidence")
-        out.table(header, rows, right=(1, 2, 3, 4))
+    header = ("model", "parameters", "held-out RMS distance", "median", "log evidence")
+    out.table(header, rows, right=(1, 2, 3, 4))
 
 
 def _parameter_rows(calibration: Calibration) -> list[tuple[str, ...]]:

@@ -3,53 +3,56 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
-import re
 import shlex
 import shutil
 import sys
 import textwrap
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sysid.errors import SettingsError
+from sysid.figures import Table
 from sysid.files import json_text, written_whole
 from sysid.foreign import escaped_json, visible
 from sysid.progress import Progress
 from sysid.progress_bar import progress_bar as progress_bar
 
 if TYPE_CHECKING:
-    from sysid.figures import Table
+    from rich.console import Console
 
-
-json_option = click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    default=None,
-    help="Also write the result as JSON ('-': to stdout, the text to stderr).",
-)
-
-
-#: Characters of one cell of a table, and columns of a sentence.
-MAX_CELL, WIDTH = 1000, 80
+#: Types of options and arguments: any path, a file, a folder.
+PATH = click.Path(path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+#: Columns of a sentence.
+WIDTH = 80
 
 
 class Printer:
-    """Prints text on stdout, or on stderr if stdout carries JSON; control characters are escaped (``sysid.foreign``)."""
+    """Prints text on stdout, or on stderr if stdout carries JSON; control characters are escaped (``sysid.foreign``).
+
+    Args:
+        json_file: as of :func:`write_json`.
+    """
 
     def __init__(self, json_file: str | None = None) -> None:
+        self.json_file = json_file
+
+    @cached_property
+    def console(self) -> Console:
+        """Made for the first line, since a verb may open the standard streams before."""
         from rich.console import Console
 
         # A pipe has no width but that of COLUMNS: else 160 columns, so that references and paths are not wrapped.
-        stream = sys.stderr if json_file == "-" else sys.stdout
+        stream = sys.stderr if self.json_file == "-" else sys.stdout
         known = stream.isatty() or os.environ.get("COLUMNS", "").isdigit()
-        self.console = Console(file=stream, highlight=False, width=None if known else 160)
+        return Console(file=stream, highlight=False, width=None if known else 160)
 
     def line(self, text: str = "") -> None:
         """One line; line breaks in it are escaped, so that a name cannot forge a line."""
@@ -61,10 +64,24 @@ class Printer:
 
     def show(self, found: Table) -> None:
         """A table, or its text where it has no row."""
-        if found.rows:
-            self.table(found.header, found.rows, found.right)
-        elif found.empty:
-            self.line(found.empty)
+        from rich.text import Text
+
+        if not found.rows:
+            if found.empty:
+                self.line(found.empty)
+            return
+        lines, head = found.text(self.console.width)
+        for number, line in enumerate(lines[: head.stop + 1]):
+            self.console.print(Text(line, "bold" if number in head else ""), soft_wrap=True)
+        self.console.file.write("".join(f"{line}\n" for line in lines[head.stop + 1 :]))
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
+        """Columns with ``header``, if there are rows; ``right`` numbers the columns that are aligned right."""
+        self.show(Table(tuple(header), rows, right))
+
+    def json(self, value: Mapping[str, Any]) -> None:
+        """Write the result as JSON, where a file for it is named."""
+        write_json(self.json_file, value)
 
     def entry(self, text: str, bullet: str = "") -> None:
         """A sentence, wrapped to :data:`WIDTH` columns between its words."""
@@ -78,86 +95,14 @@ class Printer:
         ):
             self.line(line.rstrip())
 
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], right: Collection[int] = ()) -> None:
-        """Columns with ``header``; ``right`` numbers the columns that are aligned right.
 
-        Cells are wrapped between words; where that is not enough for the width, every row is a list of its cells.
-        """
-        from rich.text import Text
-
-        cells = [[visible(cell, MAX_CELL) for cell in row] for row in rows]
-        fits = ((gap, _widths([header, *cells], self.console.width, gap)) for gap in (3, 2, 1))
-        gap, widths = next(((gap, found) for gap, found in fits if found is not None), (0, None))
-        if widths is None:
-            for row in cells:
-                self.line()
-                for number, (name, cell) in enumerate(zip(header, row, strict=True)):
-                    label, indent = (f"{name}: " if name else ""), "  " if number else " "
-                    found = textwrap.wrap(
-                        f"{label}{cell}", self.console.width, break_long_words=False, break_on_hyphens=False,
-                        initial_indent=indent, subsequent_indent=f"{indent}  ",
-                    )  # fmt: skip
-                    self.console.file.write("".join(f"{line}\n" for line in found if cell))
-            self.line()
-            return
-        wide = sum(widths) + gap * (len(widths) - 1)
-        head = "\n".join(_aligned(header, widths, right, gap))
-        for text in (Text(" " * (wide + 2)), Text(head, "bold"), Text(f" {'─' * wide} ")):
-            self.console.print(text, soft_wrap=True)
-        lines = (line for row in cells for line in _aligned(row, widths, right, gap))
-        self.console.file.write("\n".join((*lines, " " * (wide + 2), "")))
-
-
-#: Where a cell may be broken: not in a pair such as ``3.2 / 4.1``.
-BREAK = re.compile(r"(?<!/) (?!/)")
-
-
-def _widths(rows: Sequence[Sequence[str]], width: int, gap: int) -> list[int] | None:
-    """Widths of columns that take at most ``width`` together with gaps between them.
-
-    No column is narrower than its longest word; None where that is too wide.
-    """
-    from rich.cells import cell_len
-
-    columns = list(zip(*rows, strict=True))
-    found, room = [max(map(cell_len, column)) for column in columns], width - gap * (len(columns) - 1) - 2
-    if sum(found) <= room:  # always so for a table of many rows, whose words are not counted
-        return found
-    least = [max(cell_len(word) for cell in column for word in BREAK.split(cell)) for column in columns]
-    while sum(found) > room:
-        wide = [number for number in range(len(found)) if found[number] > least[number]]
-        if not wide:
-            return None
-        found[max(wide, key=lambda number: found[number])] -= 1
-    return found
-
-
-def _wrapped(cell: str, width: int) -> list[str]:
-    """The lines of a cell: words up to a width in columns of the terminal."""
-    from rich.cells import cell_len
-
-    if cell_len(cell) <= width:
-        return [cell]
-    lines = [""]
-    for word in BREAK.split(cell):
-        longer = f"{lines[-1]} {word}" if lines[-1] else word
-        if cell_len(longer) <= width:
-            lines[-1] = longer
-        else:
-            lines.append(word)
-    return lines
-
-
-def _aligned(row: Sequence[str], widths: Sequence[int], right: Collection[int], gap: int) -> Iterator[str]:
-    """The lines of the cells side by side, padded to widths in columns of the terminal."""
-    from rich.cells import cell_len
-
-    for line in itertools.zip_longest(*map(_wrapped, row, widths), fillvalue=""):
-        parts = []
-        for number, (cell, width) in enumerate(zip(line, widths, strict=True)):
-            space = " " * (width - cell_len(cell))
-            parts.append(f"{space}{cell}" if number in right else f"{cell}{space}")
-        yield f" {(' ' * gap).join(parts)} "
+json_option = click.option(
+    "--json",
+    "out",
+    metavar="FILE",
+    callback=lambda context, parameter, value: Printer(value),
+    help="Also write the result as JSON ('-': to stdout, the text to stderr).",
+)
 
 
 def rerun_command(path: Path) -> str:
@@ -223,7 +168,7 @@ workers_option = click.option(
 
 def cluster_option(describes: str = "Address of a Dask scheduler, as tcp://HOST:PORT.") -> Callable[[Any], Any]:
     """``--cluster`` and ``--trusted-network``; ``describes``: help of the first."""
-    address = click.option("--cluster", envvar="SYSID_CLUSTER", default=None, metavar="ADDRESS", help=describes)
+    address = click.option("--cluster", envvar="SYSID_CLUSTER", metavar="ADDRESS", help=describes)
     trusted = click.option(
         "--trusted-network",
         envvar="SYSID_TRUSTED_NETWORK",

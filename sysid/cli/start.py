@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sysid.cli.init import KINDS
-from sysid.cli.output import Printer, command, json_option, write_json
+from sysid.cli.output import FILE, FOLDER, Printer, command, json_option
 from sysid.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -18,19 +18,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("folder", metavar="FOLDER", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--name", default=None, help="Name of the machine and of its dataset; the folder's name if left out.")
-@click.option(
-    "--robot",
-    default=None,
-    metavar="FILE",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="The machine's URDF or MJCF: axes, limits, masses.",
-)
+@click.argument("folder", metavar="FOLDER", type=FOLDER)
+@click.option("--name", help="Name of the machine and of its dataset; the folder's name if left out.")
+@click.option("--robot", metavar="FILE", type=FILE, help="The machine's URDF or MJCF: axes, limits, masses.")
 @click.option(
     "--kind",
     type=click.Choice(KINDS),
-    default=None,
     help="What the commands are: speeds (hydraulic), positions (servo) or forces (force); as the data show if left out.",
 )
 @click.option(
@@ -40,14 +33,13 @@ if TYPE_CHECKING:
     metavar="KEY=VALUE",
     help="The answer to a question that start has asked; may be repeated.",
 )
-@click.option("--reader", default=None, help="Read all files as this format, where their suffix does not say which (json).")
+@click.option("--reader", help="Read all files as this format, where their suffix does not say which (json).")
 @click.option("--yes", is_flag=True, help="Take the proposal of every question.")
 @click.option(
     "--out",
     "out_folder",
-    default=None,
     metavar="DIR",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Folder of machine.toml and recipe.toml; beside the logs if left out.",
 )
 @json_option
@@ -62,7 +54,7 @@ def start(
     reader: str | None,
     yes: bool,
     out_folder: Path | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """From a folder of logs to a verdict.
 
@@ -76,7 +68,7 @@ def start(
     from sysid.front import logs
     from sysid.machine import load_machine
 
-    out, place = Printer(json_file), out_folder or folder
+    place = out_folder or folder
     described, made, machine = None, list[Path](), place / "machine.toml"
     if logs.described_already(place, f"sysid start {folder}"):
         for path in filter(None, (machine, logs.recipe_in(place))):
@@ -92,28 +84,20 @@ def start(
     name = load_machine(machine).name
     recipe = logs.recipe_in(place)
     out.line()
-    context.invoke(
-        ingest, paths=(folder,), machine=machine, recipe=recipe, name=name, to=None, role=None,
-        inspect=False, draft=None, reader=None, dbc=None, propose_frame=False, workers=1, cluster=None, trusted_network=False,
-        json_file=None,
-    )  # fmt: skip
+    context.invoke(ingest, paths=(folder,), machine=machine, recipe=recipe, name=name, out=Printer())
     dataset = Store(context.obj).load(name)
     out.line()
     responses = show_responses(out, dataset)
     out.line()
-    result = Path(json_file) if json_file is not None else None
-    context.invoke(
-        gap, reference=dataset.reference, plant=None, simulator=None, assets=(), out_file=None, localise=False, add=False,
-        world=None, carry=False, forms="all", accept=(), workers=1, cluster=None, trusted_network=False, verbose=False,
-        json_file=str(result.with_suffix(".gap.json")) if result is not None else None,
-    )  # fmt: skip
+    gap_file = str(Path(out.json_file).with_suffix(".gap.json")) if out.json_file is not None else None
+    context.invoke(gap, reference=dataset.reference, out=Printer(gap_file))
     out.line()
     out.line("Next:")
     out.line(f"  1. Correct {machine} where a comment is wrong, and {command('start', folder)} again.")
     out.line(f"  2. {command('report', dataset.reference, workspace=context.obj)}")
     out.line(f"  3. {command('gap', dataset.reference, workspace=context.obj)} --add, to store the repaired simulation.")
     questions = [] if described is None else described.questions
-    write_json(json_file, {
+    out.json({
         "schema": 1, "dataset": dataset.reference, "made": made, "responses": responses,
         "questions": [{"key": q.key, "proposal": q.proposal, "why": q.why} for q in questions],
         "left_out": [] if described is None else list(described.left_out),

@@ -5,7 +5,9 @@ from __future__ import annotations
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 
 import click
 
-from sysid.cli.output import Printer, json_option, progress_bar, write_json
+from sysid.cli.output import FOLDER, Printer, json_option, progress_bar
 from sysid.errors import SettingsError, StorageError, SysidError
 from sysid.foreign import visible
 
@@ -116,13 +118,13 @@ def page_server(pages: Mapping[str, Page], port: int = 0) -> PageServer:
 
 
 @click.command()
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Default: site/.")
+@click.option("--out", "folder", type=FOLDER, metavar="DIR", help="Default: site/.")
 @click.option("--open", "show_it", is_flag=True, help="Open it in the browser.")
 @click.option("--serve", is_flag=True, help="Serve it to this computer until Ctrl-C; reloading the first page renews it.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8642, show_default=True, help="For --serve; 0 takes a free one.")
 @json_option
 @click.pass_obj
-def ui(location: str, out: Path | None, show_it: bool, serve: bool, port: int, json_file: str | None) -> None:
+def ui(location: str, folder: Path | None, show_it: bool, serve: bool, port: int, out: Printer) -> None:
     """Write the workspace as pages: datasets, reports, models, their lineage, and a comparison of any two.
 
     The pages are files that need neither a server nor a network. Only pages whose content has changed are made again.
@@ -132,23 +134,19 @@ def ui(location: str, out: Path | None, show_it: bool, serve: bool, port: int, j
 
     workspace = open_workspace(location)
     with progress_bar("pages") as progress:
-        built = build_site(workspace, out, progress)
-    printer = Printer(json_file)
-    printer.line(f"{built.index}  ({len(built.made)} pages made, {len(built.kept)} up to date)")
+        built = build_site(workspace, folder, progress)
+    out.line(f"{built.index}  ({len(built.made)} pages made, {len(built.kept)} up to date)")
     for path, reason in built.failed.items():
         click.echo(visible(f"not made: {path}: {reason}"), err=True)
-    write_json(json_file, {"schema": 1, "index": built.index, "made": built.made, "kept": built.kept, "failed": built.failed})
+    out.json({"schema": 1, "index": built.index, "made": built.made, "kept": built.kept, "failed": built.failed})
     if serve:
-        _serve(_pages(workspace, built, out), port, show_it)
+        _serve(_pages(workspace, built, folder), port, show_it)
     elif show_it:
         click.launch(built.index.resolve().as_uri())
 
 
 def _pages(workspace: Workspace, built: Built, out: Path | None) -> dict[str, Page]:
     """URL path → page; reading the first one builds the site again, once for all requests that wait for it."""
-    import time
-    from functools import partial
-
     from sysid.root import Root
     from sysid.site import build_site
 

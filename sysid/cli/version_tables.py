@@ -48,16 +48,14 @@ def show_diff(out: Printer, found: DatasetDiff) -> None:
         offset, skew = (f"{a:+.6g} → {b:+.6g}" for a, b in (clock.offset_s, clock.skew_ppm))
         applied = "" if all(clock.applied) else f"{_applied(clock.applied[0])} → {_applied(clock.applied[1])}"
         rows.append((clock.recording, clock.stream, offset, skew, f"{1e3 * clock.mid_shift_s:+.3f}", applied))
-    if rows:
-        out.table(("recording", "clock of", "offset [s]", "skew [ppm]", "mid-recording [ms]", ""), rows, right=(2, 3, 4))
+    out.table(("recording", "clock of", "offset [s]", "skew [ppm]", "mid-recording [ms]", ""), rows, right=(2, 3, 4))
     rows = []
     for item in sorted(found.tables, key=lambda item: (item.recording, item.signal)):
         lengths = str(item.rows[0]) if item.rows[0] == item.rows[1] else f"{item.rows[0]} → {item.rows[1]}"
         missing = str(item.missing[0]) if item.missing[0] == item.missing[1] else f"{item.missing[0]} → {item.missing[1]}"
         numbers = (f"{item.largest:.3g}", f"{item.rms:.3g}") if item.compared else (NOTHING, NOTHING)
         rows.append((item.recording, item.signal, lengths, missing, *numbers, item.unit))
-    if rows:
-        out.table(("recording", "signal", "rows", "missing", "largest", "rms", "unit"), rows, right=(2, 3, 4, 5))
+    out.table(("recording", "signal", "rows", "missing", "largest", "rms", "unit"), rows, right=(2, 3, 4, 5))
     show_changes(out, "quality", found.quality)
 
 
@@ -213,8 +211,7 @@ def show_model_diff(out: Printer, found: ModelDiff) -> None:
         (change.parameter, quantity(change.before, change.unit), quantity(change.after, change.unit), f"{change.sigmas:.1f}")
         for change in largest[:MAX_PARAMETERS]
     ]
-    if rows:
-        out.table(("geometry", "before", "after", "differs by sigmas"), rows, right=(1, 2, 3))
+    out.table(("geometry", "before", "after", "differs by sigmas"), rows, right=(1, 2, 3))
     if len(largest) > MAX_PARAMETERS:
         out.line(f"geometry: {len(largest) - MAX_PARAMETERS} more differ (--json FILE has them all)")
 

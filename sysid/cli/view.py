@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from sysid.cli.output import Printer, command, json_option, long_arrays_beside, rerun_command, write_json
+from sysid.cli.output import FILE, Printer, command, json_option, long_arrays_beside, rerun_command
 from sysid.cli.verbs import viewer
 
 
 @click.command()
 @click.argument("reference", metavar="NAME[@VERSION]|FLIGHT.mcap")
-@click.option("--recording", default=None, help="Recording; else the first held-out one.")
-@click.option("--plant", default=None, metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
-@click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.rrd")
+@click.option("--recording", help="Recording; else the first held-out one.")
+@click.option("--plant", metavar="PLANT[@VERSION]", help="Simulate with this plant; else before and after.")
+@click.option("--out", "path", type=FILE, metavar="FILE.rrd")
 @click.option("--live", is_flag=True, help="Simulate the plant in its PyBullet world and show it; with --out into a file.")
 @json_option
 @click.pass_obj
@@ -25,14 +25,14 @@ def view(
     plant: str | None,
     path: Path | None,
     live: bool,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Write a Rerun recording: machine, trails and signals, measured and simulated.
 
     A flight log is shown while the runner writes it, or with --out converted to a file.
     """
     if (show := viewer(Path(reference).suffix)) is not None:
-        show(Path(reference), path, json_file)
+        show(Path(reference), path, out.json_file)
         return
     from sysid.errors import StoreError
     from sysid.view import write_rerun
@@ -54,19 +54,15 @@ def view(
 
         moving = workspace.simulation(dataset, plant)
         states = show_live(dataset, recording, moving, path)
-        out = Printer(json_file)
         out.line(f"{path or 'viewer'}  ({states} states of {moving.reference or 'the nominal plant'}, {recording})")
         if moving.machine.text != dataset.machine.text:
             out.line(f"{moving.reference} has another machine.toml than {dataset.reference}.")
-        write_json(
-            json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "states": states}
-        )
+        out.json({"schema": 1, "file": path, "dataset": dataset.reference, "recording": recording, "states": states})
         return
     predictions = workspace.predictions(dataset, recording, plant)
     path = path or workspace.output(f"{recording.replace('#', '-')}.rrd", dataset)
     result = workspace.gap(dataset) if plant is None else None
     write_rerun(path, dataset, recording, predictions, result)
-    out = Printer(json_file)
     out.line(f"{path}  ({recording} of {dataset.reference}; measured, {', '.join(predictions)})")
     samples = len(dataset.recording(recording))
     if bucket(samples) > 1:
@@ -77,15 +73,15 @@ def view(
     out.line(f"View: {rerun_command(path)}")
     counts = {"samples": samples, "extremes_of": bucket(samples), "poses_every": stride(samples)}
     made_of = {"dataset": dataset.reference, "recording": recording, "simulations": list(predictions)}
-    write_json(json_file, {"schema": 1, "file": path, **made_of, **counts})
+    out.json({"schema": 1, "file": path, **made_of, **counts})
 
 
 @click.command()
 @click.argument("reference", metavar="[NAME[@VERSION]]", required=False)
-@click.option("--out", "path", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE.html")
+@click.option("--out", "path", type=FILE, metavar="FILE.html")
 @json_option
 @click.pass_obj
-def report(location: str, reference: str | None, path: Path | None, json_file: str | None) -> None:
+def report(location: str, reference: str | None, path: Path | None, out: Printer) -> None:
     """Write the HTML report of a dataset: one file that works without a network."""
     from sysid.front import files
     from sysid.workspace import open_workspace
@@ -95,9 +91,8 @@ def report(location: str, reference: str | None, path: Path | None, json_file: s
     dataset = workspace.dataset(reference)
     path = files.report(dataset, path, workspace)
     gap = workspace.gap(dataset)
-    out = Printer(json_file)
     out.line(f"{path}  ({path.stat().st_size / 1e6:.1f} MB)")
     if gap is None:
         out.line(f"The report has no comparison with a simulation yet: {command('gap', dataset.name, workspace=location)}")
     verdict = gap.verdict if gap is not None else None
-    write_json(json_file, {"schema": 1, "file": path, "dataset": dataset.reference, "verdict": verdict})
+    out.json({"schema": 1, "file": path, "dataset": dataset.reference, "verdict": verdict})

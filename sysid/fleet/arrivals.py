@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sysid.config import Strict
 from sysid.datasets.plan import Plan, content_of
@@ -58,17 +58,8 @@ class Seen(Strict):
 class SeenLogs(Strict):
     """The recordings of log folders by their paths, so that they are read again only when they have changed."""
 
-    schema: int = 1
+    schema: Literal[1] = 1
     recordings: dict[str, Seen] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check the schema.
-
-        Raises:
-            ValueError: another one.
-        """
-        if self.schema != 1:
-            raise ValueError("schema 1")
 
 
 @dataclass(frozen=True)

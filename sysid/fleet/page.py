@@ -18,7 +18,7 @@ from sysid.fleet.drift import Drift
 from sysid.fleet.effects import FleetEffect, ParameterHistory
 from sysid.fleet.result import FleetResult
 from sysid.machine import Machine
-from sysid.reports.charts import ChartCurve, chart
+from sysid.reports.charts import ChartCurve, captioned, chart
 from sysid.reports.pages import page
 from sysid.reports.words import effect_place
 
@@ -121,10 +121,10 @@ def _groups(result: FleetResult, machine: Machine) -> Iterator[dict[str, Any]]:
         own = [h for h in result.histories if (h.effect, h.parameter) == (item.effect, item.parameter) and h.values]
         if own:
             title = f"{place_of(item.effect, machine)}: {item.parameter}"
-            yield {"title": title, "charts": [{"machine": h.machine, "svg": Markup(_chart(h, own))} for h in own]}
+            yield {"title": title, "charts": [captioned(_chart(h, own), h.machine) for h in own]}
 
 
-def _chart(history: ParameterHistory, together: list[ParameterHistory]) -> str:
+def _chart(history: ParameterHistory, together: list[ParameterHistory]) -> Markup:
     """Values with their intervals over hours of motion; the hidden second curve gives all machines one scale."""
     factor, _ = shown_unit(history.unit)
     hours, values = np.array(history.ends), factor * np.array(history.values)

@@ -12,7 +12,7 @@ import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from sysid.config import Strict, parse_settings
 from sysid.datasets.recording import Recording
@@ -25,7 +25,7 @@ from sysid.fleet.drift import Drift, drifts
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
 from sysid.fleet.estimates import estimate, name_effects, plant_sha256
 from sysid.fleet.result import FleetMachine, FleetResult
-from sysid.fleet.workflow import exact_references
+from sysid.fleet.workflow import FALSE_ALARMS, exact_references
 from sysid.foreign import MAX_NAME, visible
 from sysid.names import check_dataset_name, uncut_name
 from sysid.numbers import NonNegative
@@ -33,10 +33,6 @@ from sysid.parse import parse_json
 from sysid.progress import Progress, part, silent
 from sysid.workspace import Workspace, open_workspace
 
-#: Of the state that is written now.
-SCHEMA = 2
-#: Accepted false alarms of the machine in 1000 hours of recorded motion.
-FALSE_ALARMS = 1.0
 #: Recordings between two writes of the state, so that a process that is killed loses no more work than that.
 BATCH = 32
 #: Bytes of a file of state.
@@ -81,7 +77,7 @@ class WatchState(Strict):
         reported: drifts that a call has reported.
     """
 
-    schema: int
+    schema: Literal[2]
     machine: FleetMachine
     plant: str
     recordings: tuple[WatchedRecording, ...] = ()
@@ -92,10 +88,8 @@ class WatchState(Strict):
         """Check what the types do not say.
 
         Raises:
-            ValueError: another schema, a history of other recordings or of another parameter, or one without a value for each.
+            ValueError: a history of other recordings or of another parameter, or one without a value for each.
         """
-        if self.schema != SCHEMA:
-            raise ValueError(f"schema {SCHEMA}")
         known = {recording.name for recording in self.recordings}
         if len(known) < len(self.recordings):
             raise ValueError("each recording once")
@@ -219,7 +213,7 @@ def _begin(
     tested = place.plant(dataset, plant)
     histories = estimate(dataset, tested, machine.effects, progress=part(progress, 0.8, 1.0)) if machine.effects else ()
     manifest = place.datasets.manifest(machine.dataset)
-    state = WatchState(SCHEMA, machine, plant_sha256(tested))
+    state = WatchState(2, machine, plant_sha256(tested))
     state = _arranged(state, manifest, (), _watched(dataset.recordings, manifest), histories)
     return replace(state, reported=_reported(drifts(state.histories, false_alarms_per_hour)))
 
@@ -281,10 +275,10 @@ def _continued(
     if kept != list(state.recordings):
         state = _arranged(state, manifest, begun, kept, state.histories)
         _keep(place, _path(name), state)
-    for number, batch in _batches(later):
+    for number in range(0, len(later), BATCH):
         share = part(progress, number / len(later), min(1.0, (number + BATCH) / len(later)))
         share(0.0, f"{name}: {len(later) - number} new recordings")
-        loaded = place.datasets.load(f"{name}@{manifest['version']}", batch)
+        loaded = place.datasets.load(f"{name}@{manifest['version']}", later[number : number + BATCH])
         motion = loaded.of_kind("motion")
         found: Sequence[ParameterHistory] = ()
         if motion and state.machine.effects:
@@ -293,10 +287,6 @@ def _continued(
         state = _arranged(state, manifest, begun, recordings, (*state.histories, *found))
         _keep(place, _path(name), state)
     return state, tuple(later), dropped
-
-
-def _batches(names: Sequence[str]) -> Iterable[tuple[int, Sequence[str]]]:
-    return ((first, names[first : first + BATCH]) for first in range(0, len(names), BATCH))
 
 
 def _arranged(
@@ -330,9 +320,7 @@ def _arranged(
     for history in histories:
         rows.setdefault((history.effect, history.parameter), {}).update(_rows(history))
     parameters = {(history.effect, history.parameter): history for history in histories}
-    joined = tuple(
-        _of_rows(own, {name: rows[key][name] for name in ends if name in rows[key]}, ends) for key, own in parameters.items()
-    )
+    joined = tuple(_with_rows(own, rows[key], ends) for key, own in parameters.items())
     return replace(state, recordings=tuple(ordered), histories=joined)
 
 
@@ -341,15 +329,13 @@ def _rows(history: ParameterHistory) -> dict[str, tuple[float, float]]:
     return dict(zip(history.recordings, zip(history.values, history.deviations, strict=True), strict=True))
 
 
-def _of_rows(history: ParameterHistory, rows: Mapping[str, tuple[float, float]], ends: Mapping[str, float]) -> ParameterHistory:
-    """A history with these values; ``ends``: hours of motion up to the end of each recording."""
-    return replace(
-        history,
-        recordings=tuple(rows),
-        ends=tuple(ends[name] for name in rows),
-        values=tuple(value for value, _ in rows.values()),
-        deviations=tuple(deviation for _, deviation in rows.values()),
-    )
+def _with_rows(
+    history: ParameterHistory, rows: Mapping[str, tuple[float, float]], ends: Mapping[str, float]
+) -> ParameterHistory:
+    """A history with these values; ``ends``: hours of motion up to the end of each recording, in their order."""
+    names = tuple(name for name in ends if name in rows)
+    values, deviations = (tuple(rows[name][column] for name in names) for column in (0, 1))
+    return replace(history, recordings=names, ends=tuple(ends[name] for name in names), values=values, deviations=deviations)
 
 
 def _path(name: str) -> str:
@@ -382,8 +368,6 @@ def _stored(place: Workspace, path: str, kind: type[T], what: str, remedy: str, 
         values = parse_json(content)
         if not isinstance(values, dict):
             raise ValueError("no JSON object")
-        if kind is WatchState and values.get("schema") == 1:  # without the content of the recordings: all are evaluated again
-            values = {"schema": SCHEMA, **{key: values[key] for key in ("machine", "plant") if key in values}}
         return parse_settings(values, kind, where)
     except (ValueError, SettingsError) as error:
         found_text = error.found if isinstance(error, SettingsError) else str(error)

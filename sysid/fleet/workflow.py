@@ -13,7 +13,7 @@ from sysid.execution import Executor, LocalExecutor
 from sysid.fleet.differences import differences
 from sysid.fleet.drift import drifts, since_last_change
 from sysid.fleet.effects import FleetEffect, ParameterHistory, union
-from sysid.fleet.estimates import name_effects
+from sysid.fleet.estimates import estimate, name_effects
 from sysid.fleet.result import FleetMachine, FleetResult
 from sysid.machine import Machine, machine_from_files
 from sysid.progress import Progress, part, silent
@@ -115,8 +115,6 @@ def estimate_effects(
     location: str, reference: str, plant: str | None, effects: Sequence[FleetEffect]
 ) -> tuple[ParameterHistory, ...]:
     """Task: the values of the fleet's effects in every recording of one machine."""
-    from sysid.fleet.estimates import estimate
-
     place = open_workspace(location)
     dataset = place.dataset(reference)
     return tuple(estimate(dataset, place.plant(dataset, plant), effects))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import os
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -215,23 +215,10 @@ class GapResult:
         return drawn_traces(self.result, signal, recording, self.dataset.units)
 
     def __repr__(self) -> str:
-        from rich import box
-        from rich.console import Console
-        from rich.table import Table as RichTable
-        from rich.text import Text
-
-        text = io.StringIO()
-        console = Console(file=text, width=WIDTH, color_system=None, force_jupyter=False)
-        for line in self._lines():
-            console.print(Text(visible(line, len(line))))
+        lines = [part for line in self._lines() for part in textwrap.wrap(visible(line, len(line)), WIDTH)]
         for found in self._tables():
-            drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
-            for number, name in enumerate(found.header):
-                drawn.add_column(Text(name), justify="right" if number in found.right else "left", overflow="fold")
-            for row in found.rows:
-                drawn.add_row(*(Text(visible(cell, WIDTH)) for cell in row))
-            console.print(drawn)
-        return "\n".join(line.rstrip() for line in text.getvalue().splitlines())
+            lines += (line.rstrip() for line in found.text(WIDTH)[0])
+        return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         lines = [f"<p>{escape(line)}</p>" for line in self._lines()]

@@ -54,15 +54,9 @@ def model_seal(model: StoredModel) -> str:
     return json.dumps({"aliases": aliases, "count": len(own), "sha256": _sha(covered)}, sort_keys=True)
 
 
-def is_sealed(model: StoredModel) -> bool:
-    """False for a model of an earlier release without seals."""
-    return SEAL in model.tags or any(SEAL in version.tags for version in model.own)
-
-
 def broken_version(model: StoredModel, version: StoredVersion) -> StoreError | None:
-    """The error if a version does not match its seal; None if it does, or has none from an earlier release."""
-    unsealed = SEAL not in version.tags and SEAL not in model.tags
-    if unsealed or version.tags.get(SEAL) == version_seal(model.name, version):
+    """The error if a version does not match its seal; None if it does."""
+    if version.tags.get(SEAL) == version_seal(model.name, version):
         return None
     return StoreError(
         f"{model.name}@{version.number}",
@@ -74,7 +68,8 @@ def broken_version(model: StoredModel, version: StoredVersion) -> StoreError | N
 
 def broken_model(model: StoredModel) -> StoreError | None:
     """The error if a model's aliases or list of versions do not match its seal; None if they do."""
-    if not is_sealed(model) or model.tags.get(SEAL) == model_seal(model):
+    registered = bool(model.own) or SEAL in model.tags
+    if not registered or model.tags.get(SEAL) == model_seal(model):
         return None
     where, sealed, count = f"model {model.name}", sealed_aliases(model), len(model.own)
     if sealed is None:
@@ -104,8 +99,6 @@ def sealed(model: StoredModel, change: ModelChange, aliases: bool) -> ModelChang
     """
     after = changed(model, change)
     concerned = {*change.version_tags, *([change.new.number] if change.new else [])}
-    if aliases and not is_sealed(model):
-        concerned |= {version.number for version in after.own}
     tags = {number: dict(values) for number, values in change.version_tags.items()}
     new = change.new
     for version in after.own:

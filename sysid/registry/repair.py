@@ -18,7 +18,7 @@ from pathlib import Path
 from sysid.errors import StoreError
 from sysid.files import on_disk, written_whole
 from sysid.registry.client import disk_errors, exclusive, locked
-from sysid.registry.entries import broken_model, broken_version, changed, is_sealed, sealed, sealed_aliases
+from sysid.registry.entries import broken_model, broken_version, changed, sealed, sealed_aliases
 from sysid.registry.schema import clear_drafts, empty_registry, migrate, missing, revision
 from sysid.registry.stored import (
     DECISION,
@@ -26,7 +26,6 @@ from sysid.registry.stored import (
     MANIFEST,
     METRICS,
     ModelChange,
-    Record,
     StoredModel,
     StoredVersion,
     read_records,
@@ -175,9 +174,12 @@ def _records(workspace: Path) -> Mapping[str, Sequence[StoredVersion]]:
     found: dict[tuple[str, int], StoredVersion] = {}
     root = Root(workspace)
     for digest in root.entries("models"):
-        text = _manifest(root, digest)
-        for record in read_records(root, f"models/{digest}") if text is not None else ():
-            entry = _entry(workspace / "models" / digest, text or "", record)
+        if (text := _manifest(root, digest)) is None:
+            continue
+        for record in read_records(root, f"models/{digest}"):
+            tags = {DIGEST: digest, MANIFEST: text, METRICS: record.metrics}
+            source = (workspace / "models" / digest).resolve().as_uri()
+            entry = StoredVersion(record.version, record.created_ms, source, tags)
             other = found.get((record.name, record.version))
             if other is None or other.created_ms < entry.created_ms:
                 found[record.name, record.version] = entry
@@ -185,11 +187,6 @@ def _records(workspace: Path) -> Mapping[str, Sequence[StoredVersion]]:
     for (name, _), entry in sorted(found.items()):
         by_name.setdefault(name, []).append(entry)
     return by_name
-
-
-def _entry(folder: Path, text: str, record: Record) -> StoredVersion:
-    tags = {DIGEST: folder.name, MANIFEST: text, METRICS: record.metrics}
-    return StoredVersion(record.version, record.created_ms, folder.resolve().as_uri(), tags)
 
 
 def _manifest(root: Root, digest: str) -> str | None:
@@ -202,7 +199,7 @@ def _manifest(root: Root, digest: str) -> str | None:
 
 
 def _without_record(workspace: Path, models: Mapping[str, StoredModel]) -> list[str]:
-    """Messages about model files without row and record, from earlier releases."""
+    """Messages about model files without row and record."""
     known = {version.tags[DIGEST] for model in models.values() for version in model.own}
     root = Root(workspace)
     digests = [digest for digest in root.entries("models") if not digest.startswith(".")]
@@ -244,15 +241,12 @@ def _repair_seals(
     """Restore what was changed by hand in one model, or accept it."""
     wrong = [version for version in model.own if broken_version(model, version) is not None]
     broken = broken_model(model)
-    if not model.own or (is_sealed(model) and not wrong and broken is None):
+    if not model.own or (not wrong and broken is None):
         return
 
     def build(now: StoredModel) -> ModelChange:
-        everything: dict[int, dict[str, str | None]] = {version.number: {} for version in now.own}
-        if not is_sealed(now):
-            done.append(f"{now.name}: sealed; it was registered by an earlier release without seals.")
-            return sealed(now, ModelChange(version_tags=everything), aliases=True)
         if accept:
+            everything: dict[int, dict[str, str | None]] = {version.number: {} for version in now.own}
             done.append(f"{now.name}: accepted and sealed ({broken or f'{len(wrong)} changed versions'}).")
             return sealed(now, ModelChange(version_tags=everything), aliases=True)
         return _restored(now, records.get(now.name, ()), done, left)

@@ -101,8 +101,6 @@ class ServerTables:
                 client.set_registered_model_alias(name, alias, str(number.get(target, target)))
             else:
                 client.delete_registered_model_alias(name, alias)  # also where there is none
-        for key, value in change.tags.items():
-            client.set_registered_model_tag(name, key, value)
 
     def _added(self, name: str, new: StoredVersion, run: str | None) -> int:
         """The number of the version on the server, which differs from the expected one if another workspace took that."""

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from sysid.display import NOTHING, interval, minute, percent, quantity
-from sysid.figures import ErrorFigure, ParameterFigure, Table, output_name, stored_parameters
+from sysid.figures import ErrorFigure, Table, output_name, stored_parameters
 from sysid.gap.result import Gap
 from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
 from sysid.networks.policy import PolicyNetwork
@@ -40,14 +40,9 @@ class CardBlock:
 
     title: str
     text: tuple[str, ...] = ()
-    header: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
+    table: Table = field(default_factory=Table)
     code: str = ""
     maps: tuple[tuple[str, str, ErrorMap], ...] = ()
-
-    @property
-    def table(self) -> Table:
-        return Table(self.header, self.rows)
 
 
 @dataclass(frozen=True)
@@ -63,7 +58,7 @@ class Card:
         parts = [f"# {self.title}", self.facts]
         for block in self.blocks:
             parts += [f"## {block.title}", *block.text]
-            if block.rows:
+            if block.table.rows:
                 parts.append(block.table.markdown())
             if block.code:
                 parts.append(f"```python\n{block.code}\n```")
@@ -85,55 +80,51 @@ def figures(report: ValidationReport) -> CardBlock:
         rows.append((output_name(entry), *entry.texts, floor, simple))
     recordings = dict.fromkeys(name for entry in report.outputs for name in entry.recordings)
     text = f"On held-out rows of {report.dataset} ({', '.join(recordings)})."
-    texts = (text, report.recommendation) if report.recommendation else (text,)
-    return CardBlock(
-        "Figures", texts, ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model"), tuple(rows)
-    )
+    header = ("output", "RMSE", "95 %", "max", "sensor noise alone", "best simple model")
+    return CardBlock("Figures", tuple(filter(None, (text, report.recommendation))), Table(header, rows))
 
 
-def baselines(report: ValidationReport) -> Iterator[CardBlock]:
+def baselines(report: ValidationReport) -> CardBlock:
     """The RMSE of the network and of every simple model."""
-    names = list(dict.fromkeys(name for entry in report.outputs for name in entry.baselines))
-    if not names:
-        return
-    rows = tuple(
+    entries = [network_error(entry) for entry in report.outputs]
+    names = list(dict.fromkeys(name for entry in entries for name in entry.baselines))
+    rows = [
         (
             output_name(entry),
-            quantity(entry.metrics.rmse, entry.unit),
-            *(quantity(entry.baselines[name].rmse, entry.unit) if name in entry.baselines else NOTHING for name in names),
+            quantity(entry.rmse, entry.unit),
+            *(quantity(entry.baselines[name], entry.unit) if name in entry.baselines else NOTHING for name in names),
         )
-        for entry in report.outputs
-    )
-    yield CardBlock("Beside simple models", ("RMSE; all fitted on the same rows.",), ("output", "this version", *names), rows)
+        for entry in entries
+        if names
+    ]
+    text = ("RMSE; all fitted on the same rows.",)
+    return CardBlock("Beside simple models", text, Table(("output", "this version", *names), rows))
 
 
-def error_maps(report: ValidationReport) -> Iterator[CardBlock]:
+def error_maps(report: ValidationReport) -> CardBlock:
     """The worst bin of the first map of each output; the maps are shown on the page."""
     rows, maps = [], []
     for entry in report.outputs:
-        for item in entry.maps[:MAPS_SHOWN]:
-            maps.append((output_name(entry), entry.unit, item))
-        if entry.maps:
-            first = entry.maps[0]
+        maps += [(output_name(entry), entry.unit, item) for item in entry.maps[:MAPS_SHOWN]]
+        for first in entry.maps[:1]:
             a, b = first.worst
             ends = (
                 f"{name} {interval(edges[k], edges[k + 1], unit)}"
                 for name, unit, edges, k in zip(first.over, first.units, first.edges, (a, b), strict=True)
             )
-            size, count = quantity(first.rmse[a][b], entry.unit), str(first.count[a][b])
+            size, count = quantity(first.rmse[a][b], entry.unit), first.count[a][b]
             rows.append((output_name(entry), ", ".join(ends), size, count, percent(first.explains)))
-    if rows:
-        header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
-        yield CardBlock("Where its errors are", (), header, tuple(rows), maps=tuple(maps))
+    header = ("output", "largest where", "RMSE there", "rows", "explained by the map")
+    return CardBlock("Where its errors are", (), Table(header, rows), maps=tuple(maps))
 
 
-def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
+def uncertainty(report: ValidationReport) -> CardBlock:
     """Coverage of its intervals, and how often it flags extrapolation."""
-    rows = []
+    rows, level = [], 0.0
     for entry in report.outputs:
-        if entry.coverage is None:
+        if (found := entry.coverage) is None:
             continue
-        found = entry.coverage
+        level = level or found.level
         crowded = [region for region in found.regions if region.count >= MIN_REGION_ROWS]
         worst = min(crowded, key=lambda region: region.covered, default=None)
         rows.append(
@@ -145,14 +136,13 @@ def uncertainty(report: ValidationReport) -> Iterator[CardBlock]:
                 f"{100.0 * found.flagged:.1f} %",
             )
         )
-    if rows:
-        level = next(entry.coverage.level for entry in report.outputs if entry.coverage is not None)
-        text = (
-            f"Its {100.0 * level:g} % intervals (`predict_interval`) on held-out rows, and the share of rows that it flags as "
-            f"extrapolation (`inside`; of rows from the training distribution {100.0 * FALSE_FLAGS:g} %)."
-        )
-        header = ("output", "half width, median", "coverage", "lowest coverage", "flagged")
-        yield CardBlock("Uncertainty", (text,), header, tuple(rows))
+    text = (
+        f"Its {100.0 * level:g} % intervals (`predict_interval`) on held-out rows, and the share of rows that it flags as "
+        f"extrapolation (`inside`; of rows from the training distribution {100.0 * FALSE_FLAGS:g} %)."
+    )
+    return CardBlock(
+        "Uncertainty", (text,), Table(("output", "half width, median", "coverage", "lowest coverage", "flagged"), rows)
+    )
 
 
 #: Rectifier → text.
@@ -206,7 +196,7 @@ def network_ranges(model: Model) -> CardBlock:
     for answer in output_maps(model):
         for signal, unit, low, high in zip(answer.inputs, answer.units, answer.low, answer.high, strict=True):
             found[signal] = (signal, quantity(low, unit, 4), quantity(high, unit, 4))
-    return CardBlock("Ranges that it was fitted on", (), ("input", "from", "to"), tuple(found.values()))
+    return CardBlock("Ranges that it was fitted on", (), Table(("input", "from", "to"), list(found.values())))
 
 
 def network_limits(model: Model | None, report: ValidationReport | None) -> Iterator[str]:
@@ -264,7 +254,7 @@ def policy_ranges(policy: PolicyNetwork) -> CardBlock:
         ("setpoint", name, f"{low:.4g}", f"{high:.4g}")
         for name, low, high in zip(policy.outputs, policy.low, policy.high, strict=True)
     ]
-    return CardBlock("Ranges", ("In rad, m and their rates.",), ("", "signal", "from", "to"), tuple(rows))
+    return CardBlock("Ranges", ("In rad, m and their rates.",), Table(("", "signal", "from", "to"), rows))
 
 
 def policy_limits(policy: PolicyNetwork) -> Iterator[str]:
@@ -279,13 +269,13 @@ def changes(found: ModelDiff) -> CardBlock | None:
     title = f"Changed since {found.before}"
     if found.predictions:
         about = "Difference of the predictions over the range that both versions were fitted on."
-        return CardBlock(title, (about,), PREDICTIONS, tuple(map(prediction_cells, found.predictions)))
+        return CardBlock(title, (about,), Table(PREDICTIONS, list(map(prediction_cells, found.predictions))))
     if found.kind == "plant":
         changed = [change for change in found.effects if change.before is not None or change.after is None]
         if found.effects and not changed:  # all are new, and are listed with their values
             return None
         same = () if changed else ("The effects are the same.",)
-        return CardBlock(title, same, CHANGES, tuple(change_cells(change, effect_title) for change in changed))
+        return CardBlock(title, same, Table(CHANGES, [change_cells(change, effect_title) for change in changed]))
     return None
 
 
@@ -320,33 +310,35 @@ def card_of(
     """
     aliases = f" ({', '.join(version.aliases)})" if version.aliases else ""
     details = what_policy(version, policy) if policy is not None else what_network(model)
+    limits = policy_limits(policy) if policy is not None else network_limits(model, report)
     blocks = [CardBlock("What it is", (DESCRIPTIONS.get(version.kind, version.kind), *details))]
     if report is not None:
-        blocks += [figures(report), *baselines(report), *error_maps(report), *uncertainty(report)]
+        blocks += [figures(report), *_with_rows(baselines(report), error_maps(report), uncertainty(report))]
     elif version.metrics:
-        rows = tuple((name, f"{value:.4g}") for name, value in version.metrics.items())
+        rows = [(name, f"{value:.4g}") for name, value in version.metrics.items()]
         what = "the actor alone, from random poses to random targets (reach), then staying there (hold)"
         text = (f"As stored with it, in SI units; {what if policy else 'its dataset is not available'}.",)
-        blocks.append(CardBlock("Figures", text, ("figure", "value"), rows))
+        blocks.append(CardBlock("Figures", text, Table(("figure", "value"), rows)))
     if version.kind == "plant":
-        blocks += [*_errors(version.lineage, units or {}), *_effects(version.lineage)]
+        blocks += _with_rows(_errors(version.lineage, units or {}), _effects(version.lineage))
     if model is not None:
         blocks.append(network_ranges(model))
     if policy is not None:
         blocks.append(policy_ranges(policy))
-    blocks.append(CardBlock("Limits", tuple(policy_limits(policy) if policy is not None else network_limits(model, report))))
-    blocks.append(_lineage(lineage))
-    if version.decisions:
-        blocks.append(
-            CardBlock("Decisions", (), ("when", "decision", "by", "reason"), tuple(map(decision_row, version.decisions[::-1])))
-        )
-    blocks.append(CardBlock("Files", (), ("file", "sha256"), tuple(sorted(version.sha256.items()))))
-    blocks.append(CardBlock("How to load it", tuple(_loading(version)), code=_code(version)))
-    return Card(
-        version.reference,
-        f"{version.kind}{aliases}, made {minute(version.created_ms)} UTC, content {version.digest[:12]}",
-        tuple(blocks),
-    )
+    decisions = Table(("when", "decision", "by", "reason"), list(map(decision_row, version.decisions[::-1])))
+    blocks += [
+        CardBlock("Limits", tuple(limits)),
+        _lineage(lineage),
+        *_with_rows(CardBlock("Decisions", (), decisions)),
+        CardBlock("Files", (), Table(("file", "sha256"), sorted(version.sha256.items()))),
+        CardBlock("How to load it", tuple(_loading(version)), code=_code(version)),
+    ]
+    facts = f"{version.kind}{aliases}, made {minute(version.created_ms)} UTC, content {version.digest[:12]}"
+    return Card(version.reference, facts, tuple(blocks))
+
+
+def _with_rows(*blocks: CardBlock) -> list[CardBlock]:
+    return [block for block in blocks if block.table.rows]
 
 
 def _lineage(found: ModelLineage) -> CardBlock:
@@ -359,24 +351,21 @@ def _lineage(found: ModelLineage) -> CardBlock:
     rows += [("made from", item.reference, item.kind, item.digest[:12]) for item in found.parents]
     rows += [("used by", item.reference, item.kind, item.digest[:12]) for item in found.children]
     rows += [("used by", use.what, use.how, f"on {use.dataset}") for use in found.uses]
-    return CardBlock("Lineage", (found.missing,) if found.missing else (), ("", "what", "kind", "content"), tuple(rows))
+    return CardBlock("Lineage", (found.missing,) if found.missing else (), Table(("", "what", "kind", "content"), rows))
 
 
-def _effects(lineage: Mapping[str, Any]) -> list[CardBlock]:
+def _effects(lineage: Mapping[str, Any]) -> CardBlock:
     """One row for each parameter of the added effects, with its interval."""
     rows = []
     for effect in lineage.get("effects", ()):
         place = effect_title(str(effect.get("name"))), str(effect.get("target"))
         share = percent(effect.get("closed_share", math.nan))
-        own: list[ParameterFigure | None] = [*stored_parameters(effect)]
-        for figure in own or [None]:
-            values = (figure.label, figure.text, figure.interval) if figure is not None else ("", "", "")
+        own = [(figure.label, figure.text, figure.interval) for figure in stored_parameters(effect)]
+        for values in own or [("", "", "")]:
             rows.append((*place, *values, share))
             place, share = ("", ""), ""
-    if not rows:
-        return []
     header = ("effect", "on", "parameter", "value", "95 % interval", "share of the gap closed")
-    return [CardBlock("Added effects", (), header, tuple(rows))]
+    return CardBlock("Added effects", (), Table(header, rows))
 
 
 def plant_errors(lineage: Mapping[str, Any], units: Mapping[str, str]) -> list[ErrorFigure]:
@@ -391,15 +380,13 @@ def plant_errors(lineage: Mapping[str, Any], units: Mapping[str, str]) -> list[E
     return point_errors(gap, names)
 
 
-def _errors(lineage: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[CardBlock]:
+def _errors(lineage: Mapping[str, Any], units: Mapping[str, str]) -> CardBlock:
     """The held-out error before and after the repair."""
-    rows = tuple((figure.name, *figure.texts, percent(figure.closed)) for figure in plant_errors(lineage, units))
+    rows = [(figure.name, *figure.texts, percent(figure.closed)) for figure in plant_errors(lineage, units)]
     held_out = (lineage.get("recordings") or {}).get("held_out", ())
-    if rows:
-        text = f"RMS over the held-out recordings of {lineage.get('dataset')} ({', '.join(held_out)}), from the commands alone."
-        yield CardBlock(
-            "Error", (text,), ("", f"before: {lineage.get('plant')}", "this version", "noise floor", "closed"), rows
-        )
+    text = f"RMS over the held-out recordings of {lineage.get('dataset')} ({', '.join(held_out)}), from the commands alone."
+    header = ("", f"before: {lineage.get('plant')}", "this version", "noise floor", "closed")
+    return CardBlock("Error", (text,), Table(header, rows))
 
 
 def _loading(version: ModelVersion) -> Iterator[str]:

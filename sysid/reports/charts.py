@@ -116,7 +116,7 @@ def chart(
     names: Sequence[str] = (),
     include_zero: bool = True,
     size: tuple[float, float] = SMALL,
-) -> str:
+) -> Markup:
     """Curves over ``x`` (n,).
 
     Args:
@@ -145,7 +145,7 @@ def heat_map(
     edges: tuple[Array, Array],
     labels: tuple[str, str],
     unit: str,
-) -> str:
+) -> Markup:
     """Heat map of values (a, b) over two variables; cells without rows are blank.
 
     Args:
@@ -180,7 +180,7 @@ SHADES = 8
 _ISOMETRIC = np.array([[0.866, 0.5], [-0.866, 0.5], [0.0, -1.0]])
 
 
-def space_path(points: Array, values: Array, most: float, unit: str) -> str:
+def space_path(points: Array, values: Array, most: float, unit: str) -> Markup:
     """A path in space, from obliquely above, coloured by a value along it.
 
     Args:
@@ -189,7 +189,7 @@ def space_path(points: Array, values: Array, most: float, unit: str) -> str:
     """
     flat, there = points @ _ISOMETRIC, np.isfinite(points).all(axis=1) & np.isfinite(values)
     if not there.any():
-        return ""
+        return Markup("")
     low, high = flat[there].min(axis=0), flat[there].max(axis=0)
     width, height = WIDE[0] - KEY - 2 * TOP, WIDE[1] - BOTTOM - TOP
     scale = min(width / max(high[0] - low[0], 1e-9), height / max(high[1] - low[1], 1e-9))
@@ -227,10 +227,15 @@ def _shade(share: float) -> str:
     return f'fill-opacity="{0.06 + 0.94 * share:.2f}"'
 
 
-def svg_element(look: str, width: float, height: float, what: str, parts: Sequence[str]) -> str:
+def svg_element(look: str, width: float, height: float, what: str, parts: Sequence[str]) -> Markup:
     """The SVG element of a picture; ``look`` is its class, ``what`` its text alternative."""
     box = f'viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(what)}"'
-    return f'<svg class="{look}" {box}>{"".join(parts)}</svg>'
+    return Markup(f'<svg class="{look}" {box}>{"".join(parts)}</svg>')
+
+
+def captioned(picture: Markup, caption: str) -> Markup:
+    """A picture with its caption, which may be markup."""
+    return Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(picture, caption)
 
 
 def tick_texts(low: float, high: float, count: int = 4) -> list[tuple[float, str]]:

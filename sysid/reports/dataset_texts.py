@@ -69,59 +69,34 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(unique) if len(unique) <= 3 else f"{', '.join(unique[:2])} and {len(unique) - 2} more"
 
 
-@dataclass(frozen=True)
-class SampleLine:
-    """One signal; ``filled``: share of the rows of its recordings that have a value, NaN for a second source."""
-
-    name: str
-    counts: SampleCounts
-    filled: float
-
-    @property
-    def lost(self) -> str:
-        """Why samples are not used, with their numbers."""
-        counts = self.counts
-        reasons = {
-            "empty": counts.empty,
-            "repeated": counts.repeated,
-            "in guards between blocks": counts.between,
-            **counts.lost,
-        }
-        return ", ".join(f"{count} {reason}" for reason, count in reasons.items() if count) or NOTHING
-
-
-def sample_lines(dataset: Dataset) -> list[SampleLine]:
-    """One line for each signal, in the order of the machine; second sources after the first."""
+def sample_table(dataset: Dataset) -> Table:
+    """For each signal, in the order of the machine and second sources after the first: samples in the files, those that are
+    used, rows with a value (of the first source), and why samples are not used.
+    """
     found: dict[tuple[str, bool], list[SampleCounts]] = {}
     for entries in dataset.quality.get("streams", {}).values():
         for key, figures in entries.items():
             found.setdefault((key.rpartition("/")[2], figures["primary"]), []).append(stored_counts(figures))
-    lines = []
-    for signal in dataset.machine.signals:
-        for primary in (True, False):
-            if (signal, primary) in found:
-                filled = _filled(dataset, signal) if primary else float("nan")
-                name = signal if primary else f"{signal} (second)"
-                lines.append(SampleLine(name, together(found[signal, primary]), filled))
-    return lines
+    rows = []
+    for signal, primary in ((signal, primary) for signal in dataset.machine.signals for primary in (True, False)):
+        if (signal, primary) in found:
+            counts = together(found[signal, primary])
+            name, filled = (signal, _filled(dataset, signal)) if primary else (f"{signal} (second)", NOTHING)
+            rows.append((name, counts.samples, counts.used, filled, f"{counts.bridged_s:.1f} s", _lost(counts)))
+    return Table(("signal", "samples", "used", "filled", "bridged", "not used"), rows, (1, 2, 3, 4))
 
 
-def _filled(dataset: Dataset, signal: str) -> float:
+def _filled(dataset: Dataset, signal: str) -> str:
+    """Share of the rows of its recordings that have a value."""
     own = [recording.values(signal) for recording in dataset.recordings if signal in recording.signals]
     rows = sum(map(len, own))
-    return sum(len(values) - missing(values) for values in own) / rows if rows else float("nan")
+    return display.percent(sum(len(values) - missing(values) for values in own) / rows) if rows else NOTHING
 
 
-def sample_table(dataset: Dataset) -> Table:
-    """For each signal: samples in the files, those that are used, rows with a value, and why samples are not used."""
-    rows = [
-        (
-            line.name, line.counts.samples, line.counts.used, display.percent(line.filled), f"{line.counts.bridged_s:.1f} s",
-            line.lost,
-        )
-        for line in sample_lines(dataset)
-    ]  # fmt: skip
-    return Table(("signal", "samples", "used", "filled", "bridged", "not used"), rows, (1, 2, 3, 4))
+def _lost(counts: SampleCounts) -> str:
+    """Why samples are not used, with their numbers."""
+    own = {"empty": counts.empty, "repeated": counts.repeated, "in guards between blocks": counts.between}
+    return ", ".join(f"{count} {reason}" for reason, count in (own | {**counts.lost}).items() if count) or NOTHING
 
 
 def noise_table(evidence: DatasetEvidence, dataset: Dataset, spell: Callable[[str], str] = str) -> Table:

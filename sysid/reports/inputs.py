@@ -9,26 +9,8 @@ from sysid.datasets.clocks.residual import ClockResidual
 from sysid.datasets.recording import Dataset
 from sysid.gap.experiment.excitation_verdict import ExcitationReport
 from sysid.gap.result import GapResult
+from sysid.registry import ModelVersion
 from sysid.validate import ValidationReport
-
-
-@dataclass(frozen=True)
-class VersionNote:
-    """One line of the lineage: a dataset, network or plant version, and its sources.
-
-    Args:
-        reference: ``name@version``.
-        kind: dataset, actuator, forward, plant, …
-        digest: content address.
-        parents: references of its sources.
-        note: a remark (aliases, number of files).
-    """
-
-    reference: str
-    kind: str
-    digest: str
-    parents: tuple[str, ...] = ()
-    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -39,7 +21,7 @@ class ReportInputs:
         dataset: the dataset version.
         gap: its gap result.
         validations: error reports of the networks fitted on it.
-        versions: lineage, oldest first.
+        versions: networks fitted on it, and plants of its gap result, oldest first.
         created: time of the report as text; empty to leave it out, so that the report is reproducible.
         excitation: which effects the recordings excite.
         software: name → version of the packages that computed the figures.
@@ -49,7 +31,7 @@ class ReportInputs:
     dataset: Dataset
     gap: GapResult | None = None
     validations: tuple[ValidationReport, ...] = ()
-    versions: tuple[VersionNote, ...] = ()
+    versions: tuple[ModelVersion, ...] = ()
     created: str = ""
     software: Mapping[str, str] = field(default_factory=dict)
     excitation: ExcitationReport | None = None

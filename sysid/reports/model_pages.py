@@ -14,7 +14,7 @@ from sysid.figures import Table, stored_errors, stored_parameters
 from sysid.registry import CANDIDATE, CHAMPION, ModelVersion, ancestors
 from sysid.registry.promotion import decision_row
 from sysid.reports.card import Card, plant_errors
-from sysid.reports.charts import WIDE, ChartCurve, chart, heat_map
+from sysid.reports.charts import WIDE, ChartCurve, captioned, chart, heat_map
 from sysid.reports.pages import SiteBar, page
 from sysid.reports.words import effect_title, signal_name
 from sysid.validate import ErrorMap
@@ -38,7 +38,7 @@ def card_page(card: Card, bar: SiteBar | None = None, lineage: Markup | None = N
             "text": [_inline(text) for text in block.text],
             "table": block.table,
             "code": block.code,
-            "maps": [Markup(_map(*item)) for item in block.maps],
+            "maps": [_map(*item) for item in block.maps],
         }
         for number, block in enumerate(card.blocks)
     ]
@@ -49,7 +49,6 @@ def card_page(card: Card, bar: SiteBar | None = None, lineage: Markup | None = N
 def models_page(
     versions: Sequence[ModelVersion],
     workspace: str,
-    created: str = "",
     cards: Mapping[str, str] | None = None,
     bar: SiteBar | None = None,
 ) -> str:
@@ -57,7 +56,6 @@ def models_page(
 
     Args:
         versions: from ``Registry.list``.
-        created: time as text; empty to leave it out.
         cards: reference → relative URL of its card.
         bar: as for :func:`card_page`.
     """
@@ -70,7 +68,7 @@ def models_page(
                 "kind": own[0].kind,
                 "champion": next((version.reference for version in own if CHAMPION in version.aliases), ""),
                 "newest": own[0].reference,
-                "charts": [Markup(text) for text in _charts(own[::-1])],
+                "charts": _charts(own[::-1]),
                 "versions": [_entry(version, versions, (cards or {}).get(version.reference, "")) for version in own],
             }
         )
@@ -78,38 +76,22 @@ def models_page(
         "title": "Models",
         "kind": "Model versions",
         "facts": workspace,
-        "created": created,
         "models": models,
     }
     return page("models_page.html", STYLES, bar=bar, **values)
 
 
 def _entry(version: ModelVersion, versions: Sequence[ModelVersion], card: str) -> dict[str, Any]:
-    children = [other.reference for other in versions if version.reference in {p.reference for p in ancestors(versions, other)}]
-    dataset = str(version.lineage.get("dataset", ""))
+    named = [alias for alias in (CHAMPION, CANDIDATE) if alias in version.aliases]
     return {
-        "reference": version.reference,
-        "aliases": [alias for alias in version.aliases if alias in (CHAMPION, CANDIDATE)]
-        + [alias for alias in version.aliases if alias not in (CHAMPION, CANDIDATE)],
+        "version": version,
+        "aliases": [*named, *(alias for alias in version.aliases if alias not in named)],
         "created": display.minute(version.created_ms),
-        "digest": version.digest[:12],
         "card": card,
-        "dataset": dataset,
         "parents": [parent.reference for parent in ancestors(versions, version)],
-        "children": children,
+        "children": [other.reference for other in versions if version in ancestors(versions, other)],
         "figures": _figures(version),
-        "decisions": [
-            {
-                "when": when,
-                "what": what,
-                "by": by,
-                "why": why,
-                "promoted": decision.promoted,
-                "checks": decision.checks,
-            }
-            for decision in version.decisions[::-1]
-            for when, what, by, why in (decision_row(decision),)
-        ],
+        "decisions": [(decision, decision_row(decision)) for decision in version.decisions[::-1]],
     }
 
 
@@ -121,7 +103,7 @@ def _figures(version: ModelVersion) -> Table:
     return Table(("Held out", "", "RMSE", "95 %", "max"), rows, (2, 3, 4))
 
 
-def _charts(versions: Sequence[ModelVersion]) -> list[str]:
+def _charts(versions: Sequence[ModelVersion]) -> list[Markup]:
     """RMSE and parameters of effects over the versions, one chart per unit and kind; none for a single version."""
     if len(versions) < 2:
         return []
@@ -148,25 +130,25 @@ def _charts(versions: Sequence[ModelVersion]) -> list[str]:
     ]
 
 
-def _chart(versions: Sequence[ModelVersion], group: tuple[str, str, str], curves: Mapping[str, Sequence[float]]) -> str:
+def _chart(versions: Sequence[ModelVersion], group: tuple[str, str, str], curves: Mapping[str, Sequence[float]]) -> Markup:
     """Curves of one quantity over the versions, with a legend."""
     what, unit, _ = group
     factor, _ = display.shown_unit(unit)
     styled = list(zip(curves.items(), LINE_CLASSES, strict=False))
     lines = [ChartCurve(factor * np.array(values), look, dots=True) for (_, values), look in styled]
-    legend = "".join(f'<span class="line {look}"></span>{escape(name)}' for (name, _), look in styled)
+    legend = Markup("").join(Markup('<span class="line {}"></span>{}').format(look, name) for (name, _), look in styled)
     numbers, names = np.arange(len(versions), dtype=np.float64), [f"@{version.version}" for version in versions]
     drawn = chart(numbers, lines, ("version", display.with_unit(what, unit)), names=names, size=WIDE)
-    return f"<figure>{drawn}<figcaption>{legend}</figcaption></figure>"
+    return captioned(drawn, legend)
 
 
-def _map(output: str, unit: str, item: ErrorMap) -> str:
+def _map(output: str, unit: str, item: ErrorMap) -> Markup:
     """RMSE of an output in bins of two variables."""
     factor, label = display.shown_unit(unit)
     a, b = (display.shown_unit(own)[0] * np.array(part) for own, part in zip(item.units, item.edges, strict=True))
     across, up = (display.with_unit(signal_name(name), own) for name, own in zip(item.over, item.units, strict=True))
     drawn = heat_map(factor * np.array(item.rmse), np.array(item.count), (a, b), (across, up), label)
-    return f"<figure>{drawn}<figcaption>{escape(output)}</figcaption></figure>"
+    return captioned(drawn, output)
 
 
 def _inline(text: str) -> Markup:

@@ -58,6 +58,7 @@ def _environment(folder: Path) -> jinja2.Environment:
     environment.filters |= {
         "fixed": display.fixed,
         "percent": display.percent,
+        "mark": {"passed": "✓", "failed": "✗", "left out": "–"}.get,
         "owner": words.owner_name,
         "table": lambda table, look="numbers": filled("table.html", table=table, look=look),
     }

@@ -11,6 +11,7 @@ from html import escape
 
 import numpy as np
 import numpy.typing as npt
+from markupsafe import Markup
 
 from sysid.effects import BY_NAME
 from sysid.gap.result import GapResult, StageGap
@@ -137,7 +138,7 @@ BADGE, LETTER = 12.0, 7.4
 Places = dict[tuple[str, str], Array]
 
 
-def machine_picture(machine: Machine, marks: Sequence[Mark] = ()) -> str:
+def machine_picture(machine: Machine, marks: Sequence[Mark] = ()) -> Markup:
     """Side view of the machine with numbered marks; without a URDF a row of parts for each axis."""
     kinematics = machine.kinematics()
     if kinematics is None or not kinematics.chain:
@@ -148,7 +149,7 @@ def machine_picture(machine: Machine, marks: Sequence[Mark] = ()) -> str:
 # -- with geometry -------------------------------------------------------------------------------------------------------
 
 
-def _side_view(machine: Machine, kinematics: Kinematics, marks: Sequence[Mark]) -> str:
+def _side_view(machine: Machine, kinematics: Kinematics, marks: Sequence[Mark]) -> Markup:
     poses = {link: pose[0] for link, pose in kinematics.link_poses(_middle(machine, kinematics)).items()}
     chain = kinematics.chain
     points = [poses[chain[0].parent][:3, 3], *(poses[j.child][:3, 3] for j in chain)]
@@ -331,7 +332,7 @@ def _fit_to_page(flat: Array) -> tuple[Array, float]:
 # -- without geometry ----------------------------------------------------------------------------------------------------
 
 
-def _axis_rows(machine: Machine, marks: Sequence[Mark]) -> str:
+def _axis_rows(machine: Machine, marks: Sequence[Mark]) -> Markup:
     """One row per axis, in the order of the signal chain: valve → cylinder → joint."""
     names = machine.axis_names
     parts, y = [], 36.0
@@ -369,9 +370,9 @@ def _box_of(mark: Mark, boxes: Sequence[str]) -> str:
     return "joint" if mark.part in ("joint", "link", "sensor") else boxes[0]
 
 
-def _svg(parts: Sequence[str], title: str, height: int) -> str:
+def _svg(parts: Sequence[str], title: str, height: int) -> Markup:
     body = "\n".join(part for part in parts if part)
     arrow = '<marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto">'
     defs = f'<defs>{arrow}<path d="M0,0 L8,4 L0,8 z"/></marker></defs>'
     label = f'role="img" aria-label="{escape(title)}"'
-    return f'<svg class="machine" viewBox="0 0 {WIDTH} {height}" {label}>{defs}\n{body}\n</svg>'
+    return Markup(f'<svg class="machine" viewBox="0 0 {WIDTH} {height}" {label}>{defs}\n{body}\n</svg>')

@@ -14,7 +14,6 @@ from sysid.figures import Table
 from sysid.reports.inputs import ReportInputs
 from sysid.reports.pages import FOLDER, SiteBar, filled, page, write_page
 from sysid.reports.sections import (
-    evidence,
     excitation,
     networks,
     proof,
@@ -37,26 +36,24 @@ class Section:
     context: Callable[[ReportInputs], Context | None]
 
 
+#: Keys of a lineage with what a version was made from.
+SOURCES = ("dataset", "plant", "networks")
+
+
 def _versions(inputs: ReportInputs) -> Context:
     """Versions and their sources, settings and software of the figures."""
-    gap = inputs.gap
-    rows = [
-        (
-            Markup('<b class="nowrap">{}</b>').format(note.reference),
-            note.kind,
-            ", ".join(note.parents),
-            Markup("<code>{}</code>").format(note.digest[:12]),
-            note.note,
-        )
-        for note in inputs.versions
-    ]
+    gap, dataset = inputs.gap, inputs.dataset
+    own = [(dataset.reference, "dataset", "", dataset.digest, f"{len(dataset.sources)} raw files")]
+    for version in inputs.versions:
+        parents = ", ".join(str(version.lineage[key]) for key in SOURCES if version.lineage.get(key))
+        own.append((version.reference, version.kind, parents, version.digest, ", ".join(version.aliases)))
+    name, content = Markup('<b class="nowrap">{}</b>'), Markup("<code>{}</code>")
+    rows = [(name.format(text), *kind, content.format(digest[:12]), note) for text, *kind, digest, note in own]
     return {
         "figures": Table(("Version", "Kind", "Made from", "Content", ""), rows),
         "software": dict(inputs.software),
         "settings": {key: str(value) for key, value in (gap.settings if gap is not None else {}).items()},
         "notes": gap.notes if gap is not None else (),
-        "digest": inputs.dataset.digest,
-        "reference": inputs.dataset.reference,
     }
 
 
@@ -68,7 +65,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("traces", "Before and after", traces.context),
     Section("proof", "The proof", proof.context),
     Section("parameters", "What was added", proof.parameters),
-    Section("evidence", "Candidates and evidence", evidence.context),
+    Section("evidence", "Candidates and evidence", proof.candidates),
     Section("experiments", "What to record next", excitation.experiments),
     Section("networks", "Networks", networks.context),
     Section("excitation", "Excitation", excitation.context),

@@ -19,7 +19,7 @@ from sysid.effects.wording import sentences_of, title_of
 from sysid.machine import Machine
 
 if TYPE_CHECKING:
-    from sysid.gap.result import Alternative, ComparedModel, NamedEffect
+    from sysid.gap.result import ComparedModel, NamedEffect
 
 #: Stage → what is compared, in the order of the signal chain.
 STAGES: dict[str, tuple[str, str]] = {
@@ -97,9 +97,8 @@ def remainder_unit(stage: str, target: str, machine: Machine, units: Mapping[str
     return units.get(machine.axis(target).driven, "m")
 
 
-#: ``backlash(slew, drive)``: effect, target and further qualifiers; ``~`` marks effects that are only refitted.
-LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)(?P<refitted> ~)?")
-_EVIDENCE = re.compile(r"ΔBIC (?P<bic>-?[\d.]+)")
+#: ``backlash(slew, drive)``: effect, target and further qualifiers.
+LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)")
 #: Ratio of errors on selection recordings from which an alternative is worse, and clearly worse.
 WORSE, CLEARLY_WORSE = 1.05, 1.5
 
@@ -114,12 +113,10 @@ class RejectedEffect:
     why: str
 
 
-def label_of(text: str) -> tuple[str, str, str, bool]:
-    """``(effect, target, rest, refitted)`` of a candidate's label."""
+def label_of(text: str) -> tuple[str, str, str]:
+    """``(effect, target, rest)`` of a candidate's label."""
     match = LABEL.fullmatch(text)
-    if match is None:
-        return text, "", "", False
-    return match["name"], match["target"], match["rest"] or "", bool(match["refitted"])
+    return (text, "", "") if match is None else (match["name"], match["target"], match["rest"] or "")
 
 
 def with_titles(text: str, machine: Machine) -> str:
@@ -132,8 +129,8 @@ def with_titles(text: str, machine: Machine) -> str:
 
 
 def holds(row: ComparedModel, name: str, target: str) -> bool:
-    """Whether a fitted set contains the effect, not only refitted."""
-    return any(label_of(text)[:2] == (name, target) and not label_of(text)[3] for text in row.effects)
+    """Whether a fitted set contains the effect."""
+    return any(label_of(text)[:2] == (name, target) for text in row.effects)
 
 
 def least_error(rows: Iterable[ComparedModel]) -> float:
@@ -152,48 +149,24 @@ def rejected(effect: NamedEffect, candidates: Sequence[ComparedModel], machine: 
         without = [row for row in rows if not holds(row, effect.name, effect.target)]
         times = least_error(row for row in without if holds(row, other.name, other.target)) / smallest
         title, target = effect_title(other.name, other.target, machine), owner_name(other.target)
-        found.append(RejectedEffect(title, target, times, _why(times, other)))
+        found.append(RejectedEffect(title, target, times, other.rejected_by))
     return sorted(found, key=lambda item: item.times if math.isfinite(item.times) else math.inf)
-
-
-def _why(times: float, other: Alternative) -> str:
-    if other.rejected_by.startswith("predicts"):
-        return other.rejected_by
-    match = _EVIDENCE.search(other.rejected_by)
-    if match is None and not math.isfinite(times):
-        return other.rejected_by
-    if times >= CLEARLY_WORSE:
-        return f"its best fit leaves {display.ratio(times)} the error on other recordings"
-    if times >= WORSE:
-        return f"its best fit leaves {display.percent(times - 1.0)} more error on other recordings"
-    if match is None:
-        return other.rejected_by
-    against = f"evidence ΔBIC {match['bic']}, where 10 is strong"
-    if math.isfinite(times):
-        return f"similar error over whole recordings, but a worse prediction of blocks ({against})"
-    return f"worse prediction of blocks ({against})"
 
 
 def outcome(row: ComparedModel, best: float, named: Sequence[tuple[str, str]]) -> tuple[str, bool]:
     """The result of a fitted set, and whether it was accepted; ``best`` is the smallest error at its stage."""
-    ordinary = {label_of(text)[:2] for text in row.effects if not label_of(text)[3]}
-    times = row.selection_rmse / best if best > 0.0 else math.nan
-    if row.verdict.startswith(("rejected", "no effect", "named", "kept")):
-        return row.verdict, row.verdict.startswith(("named", "kept"))
     if row.verdict.endswith("nats worse"):
         return f"predicts {row.verdict}", False
-    if ordinary and ordinary <= set(named) and times < 1.02 and row.verdict.startswith("drops "):
-        name, target, _, _ = label_of(row.verdict.removeprefix("drops "))
-        what = name.replace("_", " ") + (f" of the {owner_name(target)}" if target else "")
-        return f"kept: no worse without {what}", True
-    if ordinary and ordinary <= set(named) and times < 1.02:
+    effects = {label_of(text)[:2] for text in row.effects}
+    times = row.selection_rmse / best if best > 0.0 else math.nan
+    if effects and effects <= set(named) and times < 1.02:
         return "explains it", True
     if times >= CLEARLY_WORSE:
         return f"leaves {display.ratio(times)} the error of the best", False
     if times >= WORSE:
         return f"leaves {display.percent(times - 1.0)} more error than the best", False
     if math.isfinite(times):
-        return "about as good, with more effects" if ordinary - set(named) else "about as good", False
+        return "about as good, with more effects" if effects - set(named) else "about as good", False
     return "could not be fitted", False
 
 

@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -121,7 +122,7 @@ def _pages(workspace: Workspace, items: Sequence[Item], models: Sequence[ModelVe
         others = [other for other in versioned if (other.kind, other.name) == (item.kind, item.name)]
         bar = site_bar(item, others)
         drawn = drawing(near, by_key, "../", item.key)
-        yield item.path, [context, [other.key for other in others]], _maker(workspace, item, by_key, bar, drawn)
+        yield item.path, [context, [other.key for other in others]], partial(_page, workspace, item, by_key, bar, drawn)
     cards = {item.reference: item.href for item in by_key.values() if item.path.startswith("models/")}
     name, everything = _title(workspace), [asdict(item) for item in items]
     created = f"{datetime.now().astimezone():%d %B %Y, %H:%M}".lstrip("0")
@@ -170,27 +171,19 @@ def site_bar(item: Item, others: Sequence[Item]) -> SiteBar:
     return SiteBar("../", (item.word, item.reference), versions, compare)
 
 
-def _maker(workspace: Workspace, item: Item, by_key: Mapping[str, Item], bar: SiteBar, drawn: Markup) -> Callable[[], str]:
+def _page(workspace: Workspace, item: Item, by_key: Mapping[str, Item], bar: SiteBar, drawn: Markup) -> str:
+    """The page of an item."""
     if item.kind == "dataset":
         gap = by_key.get(f"gap:{item.reference}")
-        command = f"sysid gap {item.reference} --add"
-
-        def dataset() -> str:
-            report = f"../{gap.href}" if gap is not None else ""
-            recordings = workspace.dataset(item.reference).recordings
-            return dataset_page(item, _manifest(workspace, item), recordings, bar, drawn, report, command)
-
-        return dataset
+        report = f"../{gap.href}" if gap is not None else ""
+        recordings = workspace.dataset(item.reference).recordings
+        return dataset_page(item, _manifest(workspace, item), recordings, bar, drawn, report)
     if item.kind == "gap":
-
-        def report() -> str:
-            inputs = workspace.report_inputs(workspace.dataset(item.reference))
-            return build_report(inputs, bar, drawn, f"../{LIBRARY}")
-
-        return report
+        inputs = workspace.report_inputs(workspace.dataset(item.reference))
+        return build_report(inputs, bar, drawn, f"../{LIBRARY}")
     if item.kind == "flight":
-        return lambda: flight_page(item, read_flight(workspace.root, item.reference), bar, drawn)
-    return lambda: card_page(ModelVersions(workspace).card(item.reference), bar, drawn)
+        return flight_page(item, read_flight(workspace.root, item.reference), bar, drawn)
+    return card_page(ModelVersions(workspace).card(item.reference), bar, drawn)
 
 
 def _title(workspace: Workspace) -> str:

@@ -16,7 +16,6 @@ from sysid.display import NOTHING, fixed, minute, number, quantity, size_text
 from sysid.errors import SettingsError, StoreError
 from sysid.figures import ParameterFigure, stored_errors, stored_parameters
 from sysid.gap.result import Gap
-from sysid.gap.statement import headline
 from sysid.gap.stored_result import RESULT
 from sysid.names import dotted
 from sysid.parse import parse_json
@@ -41,7 +40,7 @@ def dataset_items(index: VersionIndex, flights: Mapping[str, str]) -> Iterator[I
     """
     for entry, manifest in index.survey():
         if manifest is None:
-            yield Item("damaged", entry.reference, damage=entry.damage, summary=entry.damage)
+            yield Item("damaged", entry.reference, damage=entry.damage)
             continue
         files = _files(manifest, flights)
         if files is not None:
@@ -122,14 +121,13 @@ def gap_items(root: Root, units: Mapping[str, Mapping[str, str]]) -> Iterator[It
         except FileNotFoundError:
             continue
         except (OSError, ValueError, KeyError, TypeError, AttributeError, StoreError, SettingsError) as error:
-            damage = f"gap result of {reference}: {error}"
-            yield Item("damaged", reference, damage=damage, summary=damage)
+            yield Item("damaged", reference, damage=f"gap result of {reference}: {error}")
 
 
 def _gap(values: dict[str, Any], reference: str, content: bytes, changed: float, units: Mapping[str, str]) -> Item:
     before, after = values["plant"]["before"], values["plant"]["after"]
     effects = [f"{effect_title(item['name'], item['target'])} ({item['target']})" for item in values["effects"]]
-    found = (values.get("headline") or headline(values["verdict"], len(effects))).rstrip(".")
+    found = values["headline"].rstrip(".")
     return Item(
         "gap",
         reference,
@@ -187,7 +185,7 @@ def model_items(found: Sequence[ModelVersion | DamagedModel]) -> Iterator[Item]:
     kinds = {entry.reference: entry.kind for entry in found if isinstance(entry, ModelVersion)}
     for entry in found:
         if isinstance(entry, DamagedModel):
-            yield Item("damaged", entry.reference, damage=str(entry.error), summary=str(entry.error))
+            yield Item("damaged", entry.reference, damage=str(entry.error))
         else:
             yield _model(entry, kinds)
 
@@ -262,8 +260,7 @@ def flight_items(root: Root, models: Mapping[str, Item]) -> Iterator[Item]:
         try:
             yield _flight(read_flight(root, reference), reference, models)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, StoreError) as error:
-            damage = f"record of the run {reference}: {type(error).__name__}: {error}"
-            yield Item("damaged", reference, damage=damage, summary=damage)
+            yield Item("damaged", reference, damage=f"record of the run {reference}: {type(error).__name__}: {error}")
 
 
 def read_flight(root: Root, reference: str) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from itertools import pairwise
 import networkx as nx
 from markupsafe import Markup
 
+from sysid.progress_bar import cut
 from sysid.registry import CHAMPION
 from sysid.site.item import Item
 
@@ -139,15 +140,9 @@ def _box(item: Item, corner: tuple[float, float], up: str, here: bool) -> Markup
         '<text class="small" x="{:.0f}" y="{:.0f}">{}</text>'
     ).format(
         title, x, y, WIDTH, HEIGHT, x, y + 6.0, HEIGHT - 12.0,
-        x + 14.0, y + 20.0, _cut(f"{'★ ' if champion else ''}{item.reference}"),
+        x + 14.0, y + 20.0, cut(f"{'★ ' if champion else ''}{item.reference}", LONGEST),
         x + 14.0, y + 36.0, item.word,
         x + 14.0, y + 50.0, item.digest[:12],
     )  # fmt: skip
-    if not item.href:
-        return Markup('<g class="{}">{}</g>').format(classes, body)
     current = Markup(' aria-current="page"') if here else ""
     return Markup('<a class="{}" href="{}{}"{}>{}</a>').format(classes, up, item.href, current, body)
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"

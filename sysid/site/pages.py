@@ -37,6 +37,7 @@ from sysid.site.item import WORDS, HeldOutError, Item
 from sysid.site.lineage import around, drawing, lineage_graph
 from sysid.site.sparklines import MOST_RECORDINGS, sparklines
 
+FOLDER = Path(__file__).parent
 STYLES = ("page.css", "site.css")
 
 
@@ -47,28 +48,26 @@ def dataset_page(
     bar: SiteBar,
     lineage: Markup,
     report: str,
-    command: str,
 ) -> str:
     """The page as HTML text.
 
     Args:
         recordings: of the version, for the curves.
         report: relative URL of the report on its gap result; empty without one.
-        command: that computes one.
     """
     flags, clocks = list(manifest["quality"].get("flags", [])), [clock_from(item) for item in manifest["clocks"]]
     lines = flag_lines(flags)
     return page(
         "dataset.html",
         STYLES,
-        Path(__file__).parent,
+        FOLDER,
         bar,
         title=item.reference,
         kind="Dataset version",
         facts=f"{item.summary} · machine {manifest['machine_name']} · made {item.created} UTC · content {item.digest[:12]}",
         drawing=lineage,
         report=report,
-        command=command,
+        command=f"sysid gap {item.reference} --add",
         recordings=_recordings(manifest, Counter(flag["recording"] for flag in flags)),
         curves=sparklines(recordings, manifest),
         more=max(0, len(recordings) - MOST_RECORDINGS),
@@ -155,7 +154,7 @@ def _page(item: Item, values: Mapping[str, Any], bar: SiteBar, lineage: Markup) 
     return page(
         "flight.html",
         STYLES,
-        Path(__file__).parent,
+        FOLDER,
         bar,
         title=item.reference,
         kind="Run of a machine",
@@ -206,7 +205,7 @@ def _curve(rows: list[tuple[int, float]]) -> Markup:
     time = np.arange(seconds[0], seconds[-1] + 1.0)
     values = np.full(len(time), np.nan)
     values[(seconds - seconds[0]).astype(np.int64)] = far
-    return Markup(chart(time, [ChartCurve(values, "after")], ("time [s]", "largest distance [mm]"), size=WIDE))
+    return chart(time, [ChartCurve(values, "after")], ("time [s]", "largest distance [mm]"), size=WIDE)
 
 
 def _events(events: Sequence[Mapping[str, Any]]) -> Table:
@@ -240,13 +239,12 @@ def plant_traces(gap: GapResult, units: Mapping[str, str]) -> PlantTraces | None
             continue
         trace = next(trace for trace in gap.traces if trace.recording == moment.recording)
         unit, label = units.get(signal, "1"), words.signal_name(signal)
-        drawn = Markup(moment_chart(trace, moment, unit, label, repaired=True))
+        drawn = moment_chart(trace, moment, unit, label, repaired=True)
         text = f"{label}, held-out {moment.recording}: largest error {quantity(moment.before, unit, 2)}"
         return PlantTraces(f"plant:{gap.plant_before}", f"plant:{gap.plant_after}", drawn, text)
     return None
 
 
-FOLDER = Path(__file__).parent
 WORKSPACE_STYLES = ("page.css", "models.css", "site.css")
 #: Most boxes of the drawing on the overview.
 MOST = 40
@@ -268,13 +266,13 @@ def index_page(items: Sequence[Item], workspace: str, created: str, newest: Mark
         title=workspace,
         kind="Workspace",
         facts=f"{len(whole)} items · {created}",
-        in_use=[_use(item) for item in in_use(items)],
+        in_use=in_use(items),
         drawing=drawing(graph.subgraph(drawn), by_key),
         more=len(drawn) < len(graph),
         newest=newest,
         count=len(graph),
         kinds=[(kind, WORDS[kind], counts[kind]) for kind in WORDS if counts[kind]],
-        rows=[_row(item) for item in whole],
+        rows=[(item, _searched(item)) for item in whole],
         damaged=[f"{item.reference}: {item.damage}" for item in items if item.kind == "damaged"],
         **_script("site.js"),
     )
@@ -288,7 +286,7 @@ def result_summary(item: Item, gap: GapResult, machine: Machine, units: Mapping[
         href=item.href,
         reference=item.reference,
         headline=gap.headline,
-        picture=Markup(machine_picture(machine, marks_of(gap, machine))),
+        picture=machine_picture(machine, marks_of(gap, machine)),
         effects=[words.effect_place(effect.name, effect.target, machine) for effect in gap.effects],
         errors=main_errors(point_errors(gap.gap, units)),
         repaired=gap.repaired,
@@ -372,31 +370,11 @@ def in_use(items: Sequence[Item]) -> list[Item]:
     ]
 
 
-def _use(item: Item) -> dict[str, Any]:
-    own = {"href": item.href, "reference": f"{item.name} → {item.reference}", "word": item.word, "summary": item.summary}
-    return {**own, "promoted": CHAMPION in item.aliases}
-
-
-def _row(item: Item) -> dict[str, Any]:
-    return {
-        "kind": item.kind,
-        "key": item.key,
-        "word": item.word,
-        "reference": item.reference,
-        "sort": item.reference,
-        "href": item.href,
-        "aliases": item.aliases,
-        "summary": item.summary,
-        "created": item.created,
-        "digest": item.digest[:12],
-        "text": " ".join(_searched(item)).lower(),
-    }
-
-
-def _searched(item: Item) -> Iterator[str]:
-    yield from (item.reference, item.word, item.kind, item.summary, item.digest, item.created, *item.aliases)
-    for fact in item.facts:
-        yield from (fact.name, fact.text)
+def _searched(item: Item) -> str:
+    """What the search of the page looks through."""
+    facts = (text for fact in item.facts for text in (fact.name, fact.text))
+    own = (item.reference, item.word, item.kind, item.summary, item.digest, item.created, *item.aliases)
+    return " ".join((*own, *facts)).lower()
 
 
 def _script(name: str) -> dict[str, Any]:

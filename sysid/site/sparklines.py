@@ -65,4 +65,4 @@ def _curve(recording: Recording, signal: str, ends: tuple[float, float], flags: 
         parts += [
             f'<circle class="measured" cx="{a:.1f}" cy="{b:.1f}" r="1"/>' for a, b in zip(x[known], y[known], strict=True)
         ]
-    return Markup(svg_element("chart spark", WIDTH, HEIGHT, f"{signal} of {recording.name}", parts))
+    return svg_element("chart spark", WIDTH, HEIGHT, f"{signal} of {recording.name}", parts)

@@ -1,7 +1,6 @@
 """Error reports of networks on held-out recordings: metrics, baselines, error profiles and maps, spikes, coverage."""
 
 from sysid.validate.error_analysis import ErrorMap
-from sysid.validate.folds import folds
 from sysid.validate.metrics import ErrorMetrics, error_metrics
 from sysid.validate.report import OutputReport, ValidationReport
 from sysid.validate.validation import validate_actuator, validate_forward, validate_history, validate_model, validate_motion
@@ -12,7 +11,6 @@ __all__ = [
     "OutputReport",
     "ValidationReport",
     "error_metrics",
-    "folds",
     "validate_actuator",
     "validate_forward",
     "validate_history",

@@ -5,9 +5,8 @@ error's variance that they explain, are also those of the maps of the gap.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -309,15 +308,11 @@ class ErrorMap:
         return int(row), int(column)
 
 
-def error_maps(errors: Array, axes: Sequence[MapAxis], pairs: Sequence[tuple[str, str]] | None = None) -> tuple[ErrorMap, ...]:
-    """Maps of ``errors`` (n,) over pairs of axes, those that explain most first, at most :data:`MAX_MAPS`.
-
-    Args:
-        pairs: names of the axes to pair; default: all pairs. A constant variable has no map.
+def error_maps(errors: Array, pairs: Iterable[tuple[MapAxis, MapAxis]]) -> tuple[ErrorMap, ...]:
+    """Maps of ``errors`` (n,) over pairs of variables, those that explain most first, at most :data:`MAX_MAPS`; a constant
+    variable has no map.
     """
-    named: Mapping[str, MapAxis] = {axis.name: axis for axis in axes}
-    chosen = list(combinations(named, 2)) if pairs is None else pairs
-    found = [item for a, b in chosen if (item := error_map(errors, named[a], named[b])) is not None]
+    found = [item for first, second in pairs if (item := error_map(errors, first, second)) is not None]
     return tuple(sorted(found, key=lambda item: -item.explains)[:MAX_MAPS])
 
 

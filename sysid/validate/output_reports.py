@@ -31,7 +31,7 @@ from sysid.validate.error_analysis import (
     spikes,
 )
 from sysid.validate.metrics import LEVEL, Coverage, coverage_of, error_metrics
-from sysid.validate.report import OutputReport, Trace
+from sysid.validate.report import OutputReport
 
 Array = npt.NDArray[np.float64]
 
@@ -98,7 +98,6 @@ def output_report(
         noise_floor=_noise_floor(dataset, rows, item) if kind == "motion" else None,
         profiles=profiles,
         spikes=spikes(dataset, rows, errors, item.ends, item.fitted, kind == "motion"),
-        trace=Trace.of(rows, truth, predicted, item.sources),
         maps=maps,
         coverage=_coverage(rows, inputs, truth, predicted, item),
     )
@@ -109,23 +108,21 @@ def _profiles_and_maps(
 ) -> tuple[tuple[Profile, ...], tuple[ErrorMap, ...]]:
     """Profiles against each input, its speed and direction, and the loads; maps over two of them."""
     profiles: list[Profile] = []
-    axes: list[MapAxis] = []
-    moving: list[tuple[str, str]] = []
+    inputs: list[MapAxis] = []
+    moving: list[tuple[MapAxis, MapAxis]] = []
     for source in sources:
         signal = rows.signals[source]
         unit = _unit(dataset, signal)
         values = rows.values[:, source]
         profiles.append(profile(errors, values, signal, unit))
-        axes.append(MapAxis(signal, unit, values))
+        inputs.append(MapAxis(signal, unit, values))
         speed = speeds(dataset, rows, signal) if kind == "motion" else np.full(len(rows), np.nan)
         if np.isfinite(speed).any():
             profiles += speed_profiles(errors, speed, signal, per_second(unit))
-            axes.append(MapAxis(f"speed of {signal}", per_second(unit), speed, "signed"))
-            moving.append((signal, axes[-1].name))
+            moving.append((inputs[-1], MapAxis(f"speed of {signal}", per_second(unit), speed, "signed")))
     for signal, (load_unit, load) in _loads(dataset, rows).items():
         profiles.append(profile(errors, load, f"load of {signal}", load_unit))
-    inputs = [rows.signals[source] for source in sources]
-    return tuple(profiles), error_maps(errors, axes, [*combinations(inputs, 2), *moving])
+    return tuple(profiles), error_maps(errors, [*combinations(inputs, 2), *moving])
 
 
 def _loads(dataset: Dataset, rows: SignalRows) -> dict[str, tuple[str, Array]]:

@@ -1,26 +1,20 @@
-"""Validation reports as frozen values: metrics for tables and JSON, arrays for plots, and whether a network or a simple model
-is the better choice, from their errors on the same held-out rows.
+"""Validation reports as frozen values, and whether a network or a simple model is the better choice, from their errors on the
+same held-out rows.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-import numpy.typing as npt
-
-from sysid.datasets.recording import Kind, Role
+from sysid.datasets.recording import Kind
 from sysid.files import plain
 from sysid.names import listed
 from sysid.networks.actuator import RoundTripError
-from sysid.networks.split import SignalRows, evenly_spaced
 from sysid.validate.error_analysis import ErrorMap, Profile, Spike
 from sysid.validate.metrics import Coverage, ErrorMetrics
-
-Array = npt.NDArray[np.float64]
 
 #: Errors that differ by less are alike; the promotion policy permits the same.
 ALIKE = 1.05
@@ -63,35 +57,6 @@ def _factors(values: list[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-#: Largest number of rows of a trace.
-TRACE_ROWS = 2000
-
-
-@dataclass(frozen=True)
-class Trace:
-    """Subsampled rows for plots, in order; all (m,).
-
-    Args:
-        recording: name of each row's recording.
-        time: since that recording's start [s].
-        truth, predicted: in the output's unit.
-        inputs: input signal → its values at these rows [SI].
-    """
-
-    recording: npt.NDArray[np.str_]
-    time: Array
-    truth: Array
-    predicted: Array
-    inputs: Mapping[str, Array]
-
-    @staticmethod
-    def of(rows: SignalRows, truth: Array, predicted: Array, inputs: Sequence[int]) -> Trace:
-        """At most :data:`TRACE_ROWS` of ``rows``, evenly spaced; ``inputs`` are columns."""
-        kept = evenly_spaced(len(rows), TRACE_ROWS)
-        values = {rows.signals[column]: rows.values[kept, column] for column in inputs}
-        return Trace(rows.recording[kept], rows.time[kept], truth[kept], predicted[kept], values)
-
-
 @dataclass(frozen=True)
 class OutputReport:
     """One output of one network on one kind of recordings.
@@ -107,7 +72,6 @@ class OutputReport:
             stated for all of them, and for poses, which are means of many samples.
         profiles: error against position, speed, direction and load.
         spikes: largest first.
-        trace: for plots.
         maps: error over two inputs, or an input and its speed, those that explain most first.
         coverage: of the intervals; None for a version without intervals.
     """
@@ -121,7 +85,6 @@ class OutputReport:
     noise_floor: float | None
     profiles: tuple[Profile, ...]
     spikes: tuple[Spike, ...]
-    trace: Trace
     maps: tuple[ErrorMap, ...] = ()
     coverage: Coverage | None = None
 
@@ -138,7 +101,6 @@ class ValidationReport:
         kind: of the network.
         model: name and version, empty for a model that is not registered.
         dataset: name and version.
-        role: of the rows.
         outputs: one entry per output and kind of recordings.
         round_trips: axis → errors of joint → cylinder → joint and back of an actuator network.
     """
@@ -146,7 +108,6 @@ class ValidationReport:
     kind: Literal["actuator", "history", "motion", "forward"]
     model: str
     dataset: str
-    role: Role
     outputs: tuple[OutputReport, ...]
     round_trips: Mapping[str, RoundTripError] = field(default_factory=dict)
 
@@ -172,16 +133,13 @@ class ValidationReport:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """All but the traces, as plain JSON values (NaN becomes null)."""
+        """Plain JSON values (NaN becomes null)."""
         values: dict[str, Any] = {
             "kind": self.kind,
             "model": self.model,
             "dataset": self.dataset,
-            "role": self.role,
-            "outputs": [
-                {key: value for key, value in asdict(entry).items() if key != "trace"} | {"unit": entry.unit}
-                for entry in self.outputs
-            ],
+            "role": "held_out",
+            "outputs": [asdict(entry) | {"unit": entry.unit} for entry in self.outputs],
             "recommendation": self.recommendation,
             "round_trips": {axis: asdict(trip) for axis, trip in self.round_trips.items()},
         }

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Dataset, Kind, Recording, Role
+from sysid.datasets.recording import Dataset, Kind, Recording
 from sysid.errors import ExcitationError
 from sysid.networks.actuator import DIRECTIONS, ActuatorNetwork, RoundTripError, actuator_rows
 from sysid.networks.artifacts import Model, history_networks, motion_networks, static_networks
@@ -27,7 +27,7 @@ from sysid.validate.baselines import baseline_models, urdf_kinematics
 from sysid.validate.error_analysis import Ranges, profile, speed_profiles, speeds, spikes
 from sysid.validate.metrics import error_metrics
 from sysid.validate.output_reports import EvaluatedOutput, actuator_output, output_report
-from sysid.validate.report import OutputReport, Trace, ValidationReport
+from sysid.validate.report import OutputReport, ValidationReport
 
 Array = npt.NDArray[np.float64]
 
@@ -38,23 +38,22 @@ STATIC, PLANT, ARX = "static network", "nominal simulation", "linear ARX"
 def validate_history(
     networks: Mapping[str, HistoryNetwork],
     dataset: Dataset,
-    role: Role = "held_out",
     recipe: NetworkRecipe | None = None,
     name: str = "",
 ) -> ValidationReport:
-    """Both directions of every axis along the recorded motion of ``role``, with their static parts and other baselines.
+    """Both directions of every axis along the held-out motion, with their static parts and other baselines.
 
     Raises:
-        ExcitationError: no rows of that role have both signals of an axis.
+        ExcitationError: no held-out rows have both signals of an axis.
     """
     outputs, round_trips = [], dict[str, RoundTripError]()
     for axis, network in networks.items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
-        parts = segments(dataset, role, signals)
+        parts = segments(dataset, "held_out", signals)
         rows = gather(parts, signals)
         if not len(rows):
-            found = f"no {role} rows that measure {' and '.join(signals)} at the same time"
+            found = f"no held_out rows that measure {' and '.join(signals)} at the same time"
             raise ExcitationError(f"dataset {dataset.reference}", found, "at least one")
         for direction, along in zip(DIRECTIONS, (network.joint_along, network.displacement_along), strict=True):
             item = actuator_output(dataset, network.static, direction, fit)
@@ -68,7 +67,7 @@ def validate_history(
         longest = max(parts, key=lambda part: part.stop - part.start)
         cylinder, joint = (longest.recording.values(signal)[longest.start : longest.stop] for signal in signals)
         round_trips[axis] = network.round_trip(cylinder, joint, longest.recording.rate_hz)
-    return ValidationReport("history", name, dataset.reference, role, tuple(outputs), round_trips)
+    return ValidationReport("history", name, dataset.reference, tuple(outputs), round_trips)
 
 
 @dataclass(frozen=True)
@@ -83,17 +82,16 @@ class _Runs:
 def validate_motion(
     networks: Mapping[str, MotionNetwork],
     dataset: Dataset,
-    role: Role = "held_out",
     recipe: NetworkRecipe | None = None,
     name: str = "",
 ) -> ValidationReport:
-    """Free runs of every axis on ``role``: to horizons, from starts all along the recordings, and of whole recordings.
+    """Free runs of every axis on held-out recordings: to horizons, from starts all along them, and of whole recordings.
 
     Baselines on the same rows: the nominal simulation of ``machine.toml``, a free run of the whole recording (its error at the
     start is subtracted for axes whose command is a speed or a force), and a linear least-squares model of the same inputs.
 
     Raises:
-        ExcitationError: no recording of that role is long enough.
+        ExcitationError: no held-out recording is long enough.
     """
     settings = (recipe or NetworkRecipe()).motion
     plant = nominal_plant(dataset.machine, streams=dataset.streams)
@@ -101,7 +99,7 @@ def validate_motion(
     outputs = []
     for axis, network in networks.items():
         about = dataset.machine.axis(axis)
-        parts = motions(dataset, about, network.window, role)
+        parts = motions(dataset, about, network.window, "held_out")
         for recording, _ in parts:
             if recording.name not in simulated:
                 table = free_run(plant, recording)
@@ -115,9 +113,9 @@ def validate_motion(
             entry = _motion_report(dataset, network, parts, horizon, runs, baselines, nominal)
             outputs += [entry] if entry is not None else []
     if not outputs:
-        found = f"no {role} motion as long as the history of a network"
+        found = "no held_out motion as long as the history of a network"
         raise ExcitationError(f"dataset {dataset.reference}", found, "at least one free run", "Record longer motions.")
-    return ValidationReport("motion", name, dataset.reference, role, tuple(outputs))
+    return ValidationReport("motion", name, dataset.reference, tuple(outputs))
 
 
 def output_name(driven: str, horizon: float | None) -> str:
@@ -212,7 +210,6 @@ def _motion_report(
         noise_floor=None if sigma is None else float(np.sqrt(2.0) * sigma),
         profiles=tuple(profiles),
         spikes=spikes(dataset, rows, errors, {}, {network.command: network.commands}, True),
-        trace=Trace.of(rows, truth, predicted, [0]),
     )
 
 
@@ -241,53 +238,49 @@ def _at(rows: list[Index], other: _Runs) -> Iterator[Array]:
         yield found
 
 
-def validate_model(
-    model: Model, dataset: Dataset, role: Role = "held_out", recipe: NetworkRecipe | None = None, name: str = ""
-) -> ValidationReport:
+def validate_model(model: Model, dataset: Dataset, recipe: NetworkRecipe | None = None, name: str = "") -> ValidationReport:
     """Report of a model of any kind, by the function for its kind."""
     if isinstance(model, ForwardNetwork | StructuredForward):
-        return validate_forward(model, dataset, role, name)
+        return validate_forward(model, dataset, name)
     if motions := motion_networks(model):
-        return validate_motion(motions, dataset, role, recipe, name)
+        return validate_motion(motions, dataset, recipe, name)
     if histories := history_networks(model):
-        return validate_history(histories, dataset, role, recipe, name)
-    return validate_actuator(static_networks(model), dataset, role, recipe, name)
+        return validate_history(histories, dataset, recipe, name)
+    return validate_actuator(static_networks(model), dataset, recipe, name)
 
 
 def validate_actuator(
     networks: Mapping[str, ActuatorNetwork],
     dataset: Dataset,
-    role: Role = "held_out",
     recipe: NetworkRecipe | None = None,
     name: str = "",
 ) -> ValidationReport:
-    """Both directions of every axis on all rows of ``role``: in motion, and at static poses that measure the cylinder.
+    """Both directions of every axis on all held-out rows: in motion, and at static poses that measure the cylinder.
 
     Args:
         networks: axis → network, from ``fit_actuator``.
-        role: recordings to evaluate on.
         recipe: of the fit, so that the baselines are fitted on the same rows; default: the paper's.
         name: of the model, for the report.
 
     Raises:
-        ExcitationError: no rows of that role have both signals of an axis.
+        ExcitationError: no held-out rows have both signals of an axis.
     """
     outputs = []
     for axis, network in networks.items():
         signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
         fit, _ = actuator_rows(dataset, axis, recipe or NetworkRecipe())
-        rows_by_kind = _rows_by_kind(dataset, role, signals, ("motion", "poses"))
+        rows_by_kind = _rows_by_kind(dataset, signals, ("motion", "poses"))
         maps = [actuator_output(dataset, network, direction, fit) for direction in DIRECTIONS]
         outputs += [output_report(dataset, rows, kind, item) for kind, rows in rows_by_kind.items() for item in maps]
     round_trips = {axis: network.round_trip() for axis, network in networks.items()}
-    return ValidationReport("actuator", name, dataset.reference, role, tuple(outputs), round_trips)
+    return ValidationReport("actuator", name, dataset.reference, tuple(outputs), round_trips)
 
 
-def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held_out", name: str = "") -> ValidationReport:
-    """End effector on the static poses of ``role``, and on its motion if it was measured.
+def validate_forward(network: ForwardModel, dataset: Dataset, name: str = "") -> ValidationReport:
+    """End effector on the held-out static poses, and on held-out motion if it was measured.
 
     Raises:
-        ExcitationError: neither poses nor motion of that role have all joints and the end effector.
+        ExcitationError: neither held-out poses nor held-out motion have all joints and the end effector.
     """
     signals = (*network.joints, *point_signals("ee"))
     count = len(network.joints)
@@ -311,9 +304,9 @@ def validate_forward(network: ForwardModel, dataset: Dataset, role: Role = "held
         )
         for number in range(3)
     )
-    rows_by_kind = _rows_by_kind(dataset, role, signals, ("poses", "motion"))
+    rows_by_kind = _rows_by_kind(dataset, signals, ("poses", "motion"))
     outputs = [output_report(dataset, rows, kind, item) for kind, rows in rows_by_kind.items() for item in maps]
-    return ValidationReport("forward", name, dataset.reference, role, tuple(outputs))
+    return ValidationReport("forward", name, dataset.reference, tuple(outputs))
 
 
 def _joint_limits(dataset: Dataset, fitted: Ranges) -> Ranges:
@@ -322,8 +315,8 @@ def _joint_limits(dataset: Dataset, fitted: Ranges) -> Ranges:
     return {signal: ends if ends is not None and np.isfinite(ends).all() else fitted[signal] for signal, ends in limits.items()}
 
 
-def _rows_by_kind(dataset: Dataset, role: Role, signals: tuple[str, ...], kinds: tuple[Kind, ...]) -> dict[Kind, SignalRows]:
-    """Rows of ``role`` by kind of recording.
+def _rows_by_kind(dataset: Dataset, signals: tuple[str, ...], kinds: tuple[Kind, ...]) -> dict[Kind, SignalRows]:
+    """Held-out rows by kind of recording.
 
     Raises:
         ExcitationError: there are none at all.
@@ -331,13 +324,13 @@ def _rows_by_kind(dataset: Dataset, role: Role, signals: tuple[str, ...], kinds:
     found: dict[Kind, SignalRows] = {}
     for kind in kinds:
         if measures(dataset, signals, kind):
-            rows = gather(segments(dataset, role, signals, kind), signals)
+            rows = gather(segments(dataset, "held_out", signals, kind), signals)
             if len(rows):
                 found[kind] = rows
     if not found:
         raise ExcitationError(
             f"dataset {dataset.reference}",
-            f"no {role} rows that measure {', '.join(signals)} at the same time",
+            f"no held_out rows that measure {', '.join(signals)} at the same time",
             "at least one",
             "Record more, or name other recordings in [splits] of the recipe.",
         )

@@ -16,8 +16,16 @@ import numpy.typing as npt
 from sysid.errors import SettingsError, StorageError, StoreError
 from sysid.extras import install_remedy
 from sysid.files import json_text
-from sysid.networks import ForwardNetwork, Model, StructuredForward, history_networks, motion_networks, static_networks
-from sysid.networks.actuator import DIRECTIONS
+from sysid.networks import (
+    ForwardNetwork,
+    Mlp,
+    Model,
+    MotionNetwork,
+    StructuredForward,
+    history_networks,
+    motion_networks,
+    static_networks,
+)
 from sysid.networks.policy import PolicyNetwork
 from sysid.signals import axis_signal, point_signals
 from sysid.versions.onnx_graph import IR_VERSION, OPSET, Graph
@@ -113,56 +121,51 @@ def _runtime() -> Any:
     return onnxruntime
 
 
-def _parts(model: Model | PolicyNetwork) -> tuple[_OnnxSource, ...]:
+def _parts(model: Model | PolicyNetwork) -> list[_OnnxSource]:
     if isinstance(model, PolicyNetwork):
-        ranges = model.mlp.inputs
-        low, high = ranges.mean - ranges.scale, ranges.mean + ranges.scale
-        return (
-            _OnnxSource("policy", model.inputs, model.outputs, low, high, lambda graph, s: graph.policy(model, s), model.act),
-        )
+        low, high = _ends(model.mlp, 1.0)
+        return [
+            _OnnxSource("policy", model.inputs, model.outputs, low, high, lambda graph, o: graph.policy(model, o), model.act)
+        ]
     if isinstance(model, ForwardNetwork | StructuredForward):
         outputs = point_signals("ee")
-
-        def put(graph: Graph, q: str) -> str:
-            return graph.forward(model, q)
-
-        return (_OnnxSource("forward", model.joints, outputs, model.low, model.high, put, model.predict),)
-    found = []
-    for axis, motion in motion_networks(model).items():
-        names = motion.window.names(motion.command, motion.driven)
-        inputs = motion.members[0].inputs
-        found.append(
+        return [
             _OnnxSource(
-                f"{axis}.motion",
-                names,
-                (f"speed of {motion.driven}",),
-                inputs.mean - 2.0 * inputs.scale,
-                inputs.mean + 2.0 * inputs.scale,
-                lambda graph, value, motion=motion: graph.mean([graph.mlp(mlp, value) for mlp in motion.members]),  # type: ignore[misc]
-                lambda values, motion=motion: motion.speed(values)[:, None],  # type: ignore[misc]
+                "forward", model.joints, outputs, model.low, model.high, lambda graph, q: graph.forward(model, q), model.predict
             )
-        )
+        ]
     if history_networks(model):
         expected = "networks without a state"
         remedy = "Export actuator networks without history, or step it in Python."
         raise SettingsError("sysid models export", "actuator networks with history", expected, remedy)
+    found = [_motion(axis, network) for axis, network in motion_networks(model).items()]
     for axis, network in static_networks(model).items():
-        signals = (axis_signal(axis, "cylinder"), axis_signal(axis, "joint"))
-        ends = (network.displacements, network.joints)
-        for direction, source in zip(DIRECTIONS, (0, 1), strict=True):
-            mlp = network.to_joint if direction == "to_joint" else network.to_cylinder
-            found.append(
-                _OnnxSource(
-                    f"{axis}.{direction}",
-                    (signals[source],),
-                    (signals[1 - source],),
-                    np.array([ends[source][0]]),
-                    np.array([ends[source][1]]),
-                    lambda graph, value, mlp=mlp: graph.mlp(mlp, value),  # type: ignore[misc]
-                    mlp.predict,
-                )
-            )
-    return tuple(found)
+        cylinder, joint = axis_signal(axis, "cylinder"), axis_signal(axis, "joint")
+        found.append(_static(f"{axis}.to_joint", cylinder, joint, network.displacements, network.to_joint))
+        found.append(_static(f"{axis}.to_cylinder", joint, cylinder, network.joints, network.to_cylinder))
+    return found
+
+
+def _motion(axis: str, network: MotionNetwork) -> _OnnxSource:
+    """The speed of the next step."""
+    return _OnnxSource(
+        f"{axis}.motion",
+        network.window.names(network.command, network.driven),
+        (f"speed of {network.driven}",),
+        *_ends(network.members[0], 2.0),
+        lambda graph, value: graph.mean([graph.mlp(mlp, value) for mlp in network.members]),
+        lambda values: network.speed(values)[:, None],
+    )
+
+
+def _static(name: str, source: str, output: str, ends: tuple[float, float], mlp: Mlp) -> _OnnxSource:
+    low, high = np.array(ends)[:, None]
+    return _OnnxSource(name, (source,), (output,), low, high, lambda graph, value: graph.mlp(mlp, value), mlp.predict)
+
+
+def _ends(mlp: Mlp, deviations: float) -> tuple[Array, Array]:
+    """Means of its inputs ∓ so many standard deviations."""
+    return mlp.inputs.mean - deviations * mlp.inputs.scale, mlp.inputs.mean + deviations * mlp.inputs.scale
 
 
 def _content(part: _OnnxSource, precision: Precision, about: Mapping[str, str]) -> bytes:

@@ -27,39 +27,6 @@ from sysid.networks.policy import PolicyNetwork
 Array = npt.NDArray[np.float64]
 
 
-class Nodes:
-    """Nodes and constants in the order of their addition; values are referred to by name.
-
-    Args:
-        dtype: of all numbers.
-    """
-
-    def __init__(self, dtype: type[np.float32] | type[np.float64]) -> None:
-        self.dtype = dtype
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def add(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """One node; returns the name of its output."""
-        from onnx import helper
-
-        name = output or f"{operator.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=f"node_{len(self.nodes)}", **attributes))
-        return name
-
-    def constant(self, values: npt.ArrayLike, whole: bool = False) -> str:
-        """A constant of the graph's type, or of whole numbers."""
-        from onnx import numpy_helper
-
-        name = f"constant_{len(self.constants)}"
-        array = np.asarray(values, dtype=np.int64 if whole else self.dtype)
-        self.constants.append(numpy_helper.from_array(array, name))
-        return name
-
-    def columns(self, value: str, which: Sequence[int]) -> str:
-        return self.add("Gather", value, self.constant(list(which), whole=True), axis=1)
-
-
 #: Added to a squared angle, so that its root is not zero.
 TINY = 1e-30
 
@@ -81,7 +48,7 @@ class _Loads:
     across: list[tuple[str, str] | None]
 
 
-def elastic_tip(graph: Nodes, chain: ElasticChain, q: str) -> str:
+def elastic_tip(graph: Graph, chain: ElasticChain, q: str) -> str:
     """Joint values (n, n_axes) → tip (n, 3)."""
     nodes = _Chain(graph, chain, q)
     loads = _Loads([None] * len(chain.joints), [None] * len(chain.joints))
@@ -93,7 +60,7 @@ def elastic_tip(graph: Nodes, chain: ElasticChain, q: str) -> str:
 
 
 class _Chain:
-    def __init__(self, graph: Nodes, chain: ElasticChain, q: str) -> None:
+    def __init__(self, graph: Graph, chain: ElasticChain, q: str) -> None:
         self.graph, self.chain = graph, chain
         whole = graph.constant([-1, 1, 1], whole=True)
         used = {joint.column for joint in chain.joints}
@@ -207,8 +174,37 @@ OPSET, IR_VERSION = 18, 8
 ANGLES, SLIDES = (0.0, math.pi / 2.0, math.pi), (0.0, 1.0)
 
 
-class Graph(Nodes):
-    """The nodes of a network."""
+class Graph:
+    """Nodes and constants in the order of their addition; values are referred to by name.
+
+    Args:
+        dtype: of all numbers.
+    """
+
+    def __init__(self, dtype: type[np.float32] | type[np.float64]) -> None:
+        self.dtype = dtype
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def add(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
+        """One node; returns the name of its output."""
+        from onnx import helper
+
+        name = output or f"{operator.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=f"node_{len(self.nodes)}", **attributes))
+        return name
+
+    def constant(self, values: npt.ArrayLike, whole: bool = False) -> str:
+        """A constant of the graph's type, or of whole numbers."""
+        from onnx import numpy_helper
+
+        name = f"constant_{len(self.constants)}"
+        array = np.asarray(values, dtype=np.int64 if whole else self.dtype)
+        self.constants.append(numpy_helper.from_array(array, name))
+        return name
+
+    def columns(self, value: str, which: Sequence[int]) -> str:
+        return self.add("Gather", value, self.constant(list(which), whole=True), axis=1)
 
     def mlp(self, network: Mlp, value: str) -> str:
         """A perceptron with its normalisations."""

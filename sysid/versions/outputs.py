@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.networks import (
+    ActuatorNetwork,
     ForwardNetwork,
     HistoryNetwork,
     Model,
@@ -61,70 +62,59 @@ class OutputMap:
 def output_maps(model: Model) -> tuple[OutputMap, ...]:
     """Both directions of every axis, its motion, or the three coordinates of the end effector."""
     if motions := motion_networks(model):
-        return tuple(_motion(network) for network in motions.values())
-    histories = history_networks(model)
+        return tuple(map(_motion, motions.values()))
     if isinstance(model, ForwardNetwork | StructuredForward):
-        units = tuple("rad" if angle else "m" for angle in model.revolute)
-        return tuple(
-            OutputMap(
-                output,
-                "m",
-                model.joints,
-                units,
-                model.low,
-                model.high,
-                lambda q, number=number: model.predict(q)[:, number],  # type: ignore[misc]
-            )
-            for number, output in enumerate(point_signals("ee"))
-        )
-    found = []
-    for axis, network in static_networks(model).items():
-        if axis in histories:
-            found += _with_history(histories[axis])
-            continue
-        cylinder, joint = axis_signal(axis, "cylinder"), axis_signal(axis, "joint")
-        for output, source, unit, source_unit, ends, predict in (
-            (joint, cylinder, "rad", "m", network.displacements, network.joint),
-            (cylinder, joint, "m", "rad", network.joints, network.displacement),
-        ):
-            low, high = np.array([ends[0]]), np.array([ends[1]])
-            found.append(
-                OutputMap(
-                    output,
-                    unit,
-                    (source,),
-                    (source_unit,),
-                    low,
-                    high,
-                    lambda values, predict=predict: predict(values[:, 0]),  # type: ignore[misc]
-                )
-            )
-    return tuple(found)
+        return tuple(_coordinate(model, number, output) for number, output in enumerate(point_signals("ee")))
+    histories = history_networks(model)
+    axes = static_networks(model).items()
+    return tuple(
+        item
+        for axis, network in axes
+        for item in (_with_history(histories[axis]) if axis in histories else _static(axis, network))
+    )
 
 
-def _with_history(network: HistoryNetwork) -> list[OutputMap]:
+def _coordinate(model: ForwardNetwork | StructuredForward, number: int, output: str) -> OutputMap:
+    units = tuple("rad" if angle else "m" for angle in model.revolute)
+    return OutputMap(output, "m", model.joints, units, model.low, model.high, lambda q: model.predict(q)[:, number])
+
+
+def _static(axis: str, network: ActuatorNetwork) -> tuple[OutputMap, OutputMap]:
+    return (
+        _direction(axis, True, network.displacements, lambda values: network.joint(values[:, 0])),
+        _direction(axis, False, network.joints, lambda values: network.displacement(values[:, 0])),
+    )
+
+
+def _with_history(network: HistoryNetwork) -> tuple[OutputMap, OutputMap]:
     """Both directions along a motion, sampled at the steps of the recurrent part."""
     cylinder, joint = axis_signal(network.axis, "cylinder"), axis_signal(network.axis, "joint")
-    found = []
-    for output, source, units, ends, along, memory in (
-        (joint, cylinder, ("rad", "m"), network.static.displacements, network.joint_along, network.to_joint),
-        (cylinder, joint, ("m", "rad"), network.static.joints, network.displacement_along, network.to_cylinder),
-    ):
-        rate = 1.0 / memory.interval
-        found.append(
-            OutputMap(
-                output,
-                units[0],
-                (source,),
-                (units[1],),
-                np.array([ends[0]]),
-                np.array([ends[1]]),
-                lambda values, along=along, rate=rate: along(values[:, 0], rate),  # type: ignore[misc]
-                lambda recording, along=along, source=source: along(recording.values(source), recording.rate_hz),  # type: ignore[misc]
-                rate,
-            )
-        )
-    return found
+    to_joint, to_cylinder = (1.0 / memory.interval for memory in (network.to_joint, network.to_cylinder))
+    return (
+        _direction(
+            network.axis, True, network.static.displacements, lambda values: network.joint_along(values[:, 0], to_joint),
+            lambda recording: network.joint_along(recording.values(cylinder), recording.rate_hz), to_joint,
+        ),
+        _direction(
+            network.axis, False, network.static.joints, lambda values: network.displacement_along(values[:, 0], to_cylinder),
+            lambda recording: network.displacement_along(recording.values(joint), recording.rate_hz), to_cylinder,
+        ),
+    )  # fmt: skip
+
+
+def _direction(
+    axis: str,
+    to_joint: bool,
+    ends: tuple[float, float],
+    predict: Callable[[Array], Array],
+    run: Callable[[Recording], Array] | None = None,
+    rate_hz: float = 0.0,
+) -> OutputMap:
+    """One direction of an axis; ``ends`` of its input."""
+    cylinder, joint = (axis_signal(axis, "cylinder"), "m"), (axis_signal(axis, "joint"), "rad")
+    (source, unit), output = (cylinder, joint) if to_joint else (joint, cylinder)
+    low, high = np.array(ends)[:, None]
+    return OutputMap(*output, (source,), (unit,), low, high, predict, run, rate_hz)
 
 
 def _motion(network: MotionNetwork) -> OutputMap:

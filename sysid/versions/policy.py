@@ -77,10 +77,6 @@ class PromotionPolicy(Strict):
         found: KindPolicy = getattr(self, kind)
         return found
 
-    def to_json(self) -> dict[str, Any]:
-        """For the record of a decision."""
-        return asdict(self)
-
 
 def load_policy(path: Path | None = None) -> PromotionPolicy:
     """The policy in ``path``; None: the default.

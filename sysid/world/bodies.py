@@ -23,7 +23,6 @@ from sysid.world.urdf import (
     chained,
     complete_inertia,
     drop_meshes,
-    effort_limit,
     inertial_of,
     joint_element,
     link_element,
@@ -73,10 +72,9 @@ class HangingTool:
 
 @dataclass(frozen=True)
 class WorldUrdf:
-    """A URDF for the world, effort limits of the driven joints [N or N·m], the tool, and the height of the ground [m]."""
+    """A URDF for the world, the tool, and the height of the ground [m]."""
 
     urdf: str
-    effort: tuple[float, ...]
     hanging: HangingTool | None
     ground: float
 
@@ -103,7 +101,6 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
         machine = replace(machine, tool=_TOOL, urdf_text=tostring(root, encoding="unicode"))
         kinematics = machine.kinematics()
         assert kinematics is not None
-    effort = tuple(effort_limit(root, name) for name in kinematics.actuated)
     drop_meshes(root)
     _stretch(root, plant, kinematics)
     _shift_tip(root, plant, kinematics)
@@ -111,7 +108,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
         unlimit(joint_element(root, name))
     hanging = None
     if machine.tool is not None and machine.tool != machine.tip:
-        path = path_to(kinematics, machine.tool)
+        path = path_to(kinematics.joints, machine.tool, kinematics.tip)
         values = {key: float(np.asarray(value)) for key, value in (sway.parameters if sway is not None else {}).items()}
         if values.get("length", 0.0) >= _MIN_LENGTH:
             hanging = _hang(root, kinematics, path, values["length"], values["damping_ratio"], gripper)
@@ -120,7 +117,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
             remove_below(root, kinematics.tip)
     for link in root.findall("link"):
         complete_inertia(link, _STRUCTURE_MASS, _STRUCTURE_MASS)
-    return WorldUrdf(tostring(root, encoding="unicode"), effort, hanging, _lowest(root, kinematics))
+    return WorldUrdf(tostring(root, encoding="unicode"), hanging, _lowest(root, kinematics))
 
 
 def _hang(
@@ -155,7 +152,7 @@ def _hang(
             set_inertia(link_element(root, link), mass, 1e-7 * mass * length**2)
     reach = scale * reach
     joints = (movable[0], movable[1])
-    return HangingTool(joints, reach, _damping(root, kinematics.tip, joints, reach, ratio), tool)
+    return HangingTool(joints, reach, _damping(root, joints, reach, ratio), tool)
 
 
 def _add_tool(root: Element, tip: str) -> None:
@@ -166,7 +163,7 @@ def _add_tool(root: Element, tip: str) -> None:
     SubElement(joint, "child", link=_TOOL)
 
 
-def _damping(root: Element, tip: str, joints: tuple[Joint, Joint], reach: Array, ratio: float) -> tuple[float, float]:
+def _damping(root: Element, joints: tuple[Joint, Joint], reach: Array, ratio: float) -> tuple[float, float]:
     """Joint damping ``c = 2ζω₀J`` of the physical pendulum about each axis, with ``ω₀² = m·g·d/J``."""
     down = reach / np.linalg.norm(reach)
     every = parsed(root)

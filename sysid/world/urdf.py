@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import SettingsError
-from sysid.machine import Kinematics
 from sysid.machine.kinematics import Joint, parse_urdf
 
 Array = npt.NDArray[np.float64]
@@ -25,10 +24,8 @@ def parsed(root: Element) -> dict[str, Joint]:
     return parse_urdf(tostring(root, encoding="unicode"))[0]
 
 
-def path_to(source: Kinematics | dict[str, Joint], link: str, tip: str = "") -> tuple[Joint, ...]:
+def path_to(joints: Mapping[str, Joint], link: str, tip: str) -> tuple[Joint, ...]:
     """Joints from the tip down to ``link``."""
-    joints = source.joints if isinstance(source, Kinematics) else source
-    tip = source.tip if isinstance(source, Kinematics) else tip
     by_child = {joint.child: joint for joint in joints.values()}
     path: list[Joint] = []
     at = link
@@ -104,11 +101,6 @@ def numbers(text: str) -> list[float]:
     return [float(word) for word in text.split()]
 
 
-def effort_limit(root: Element, joint: str) -> float:
-    limit = joint_element(root, joint).find("limit")
-    return float(limit.get("effort", "inf")) if limit is not None else float("inf")
-
-
 def unlimit(joint: Element) -> None:
     """Remove end stops and damping, which the compiled chain contains."""
     for tag in ("limit", "dynamics", "mimic", "safety_controller"):
@@ -138,15 +130,14 @@ def make_touchable(link: Element) -> None:
                     shape.append(child)
 
 
-def complete_inertia(link: Element, mass: float = MASS, inertia: float = _INERTIA) -> None:
+def complete_inertia(link: Element, mass: float, inertia: float = _INERTIA) -> None:
     """Set mass and inertia of a link without mass; for a mass without inertia, set that of a ball of water."""
     own = mass_of(link)
     if own <= 0.0:
         set_inertia(link, mass, inertia)
     elif link.find("inertial/inertia") is None:
         radius = (own / WATER / (4.0 / 3.0 * np.pi)) ** (1.0 / 3.0)
-        diagonal = dict.fromkeys(("ixx", "iyy", "izz"), repr(float(0.4 * own * radius**2)))
-        SubElement(link.find("inertial"), "inertia", {**diagonal, **dict.fromkeys(("ixy", "ixz", "iyz"), "0")})  # type: ignore[arg-type]
+        SubElement(link.find("inertial"), "inertia", _equal_moments(float(0.4 * own * radius**2)))  # type: ignore[arg-type]
 
 
 def mass_of(link: Element) -> float:
@@ -161,8 +152,11 @@ def set_inertia(link: Element, mass: float, inertia: float) -> None:
     inertial = SubElement(link, "inertial")
     SubElement(inertial, "origin", xyz="0 0 0")
     SubElement(inertial, "mass", value=repr(mass))
-    diagonal = dict.fromkeys(("ixx", "iyy", "izz"), repr(inertia))
-    SubElement(inertial, "inertia", {**diagonal, **dict.fromkeys(("ixy", "ixz", "iyz"), "0")})
+    SubElement(inertial, "inertia", _equal_moments(inertia))
+
+
+def _equal_moments(inertia: float) -> dict[str, str]:
+    return {key: repr(inertia) if key[1] == key[2] else "0" for key in _KEYS}
 
 
 def inertial_of(link: Element) -> tuple[float, Array, Array]:

@@ -20,7 +20,7 @@ from sysid.gap.stored_result import load_gap, save_gap
 from sysid.gap.written import axis_delays, written_effects
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import nominal_plant
-from sysid.reports.next_steps import next_steps
+from sysid.reports.result_figures import next_steps
 
 AXES = "".join(
     f'[[axes]]\nname = "{name}"\nactuation = "{actuation}"\ndrives = "joint"\ngain = 1.0\nlimits = [-1.0, 1.0]\n'

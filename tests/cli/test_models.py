@@ -51,7 +51,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
         place.add_network(own, model, used, validate_model(model, own))
     lineage = {"networks": "crane-actuator@1", "dataset": "crane@1"}
     place.models.register("crane", "plant", {"plant.json": b"{}"}, lineage)
-    folder = place.results(own) / "gap"
+    folder = place.gap_folder(own)
     folder.mkdir(parents=True)
     (folder / "result.json").write_text('{"plant": {"before": "crane@1", "after": "crane@1"}}')
     return place.folder

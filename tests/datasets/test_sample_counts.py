@@ -22,7 +22,7 @@ from sysid.datasets.recipe import SignalMap, StreamMap
 from sysid.errors import SettingsError
 from sysid.logs import ReadOptions, reader_named
 from sysid.machine import load_machine
-from sysid.reports.dataset_texts import sample_lines
+from sysid.reports.dataset_texts import sample_table
 
 MACHINE = (
     'schema = 1\nname = "press"\nrate_hz = 100.0\n[[axes]]\nname = "ram"\nactuation = "velocity"\ndrives = "joint"\n'
@@ -101,7 +101,7 @@ def test_the_counts_add_up_whatever_the_rows_hold(tmp_path_factory: pytest.TempP
         assert min(getattr(found, name) for name in SampleCounts.__dataclass_fields__) >= 0
     found = counts(dataset, "ram.joint")
     assert found.empty + found.overflows == int(np.count_nonzero(~(np.abs(values) < 1e15)))
-    assert {line.name for line in sample_lines(dataset)} == {"ram.command", "ram.joint"}
+    assert {row[0] for row in sample_table(dataset).rows} == {"ram.command", "ram.joint"}
     lost = found.used < 0.95 * (found.samples - found.between)
     assert any("ram.joint:samples" in finding.keys for finding in check_plausibility(dataset)) == lost
 
@@ -131,8 +131,8 @@ def test_guards_and_pauses_have_reasons_of_their_own(tmp_path: Path) -> None:
     assert (parts_of(found), found.alone, found.outside) == (found.rows, 3, 0)
     assert 0 < found.between < 400
     assert found.used + found.between == len(times) - 3
-    (line,) = (line for line in sample_lines(dataset) if line.name == "ram.joint")
-    assert line.lost == f"{found.between} in guards between blocks, 3 alone between gaps"
+    (row,) = (row for row in sample_table(dataset).rows if row[0] == "ram.joint")
+    assert row[-1] == f"{found.between} in guards between blocks, 3 alone between gaps"
 
 
 def test_samples_alone_between_gaps_are_counted_with_their_remedy(tmp_path: Path) -> None:

@@ -320,7 +320,7 @@ def _results() -> tuple[Path, bytes]:
 
     place = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     workspace = sample_workspace(place / "ws")
-    return place, (workspace.results(workspace.dataset("autolog@1")) / "gap/result.json").read_bytes()
+    return place, (workspace.gap_folder(workspace.dataset("autolog@1")) / "result.json").read_bytes()
 
 
 def gap_result(data: bytes) -> None:

@@ -245,8 +245,8 @@ def sample_gap(dataset: Dataset) -> GapResult:
             {"positive": (0.0782, 0.0836), "negative": (0.0461, 0.0518)},
             0.63,
             (
-                Alternative("gain_curve", "boom", "held-out error 7.3 × that of the dead-band (95 % interval 5.9 to 9.1)"),
-                Alternative("backlash", "boom", "the cylinder waits too, not the joint alone"),
+                Alternative("gain_curve", "boom", "predicts 3140 ± 80 nats worse"),
+                Alternative("backlash", "boom", "predicts 310 ± 25 nats worse"),
             ),
         ),
         NamedEffect(
@@ -255,7 +255,7 @@ def sample_gap(dataset: Dataset) -> GapResult:
             {"width": 0.01052},
             {"width": (0.01041, 0.01066)},
             0.21,
-            (Alternative("valve_deadband", "slew", "refitted dead-band stays inside the nominal one (ΔBIC +14)"),),
+            (Alternative("valve_deadband", "slew", "predicts 95 ± 11 nats worse"),),
             side="structure",
         ),
         NamedEffect(
@@ -267,12 +267,12 @@ def sample_gap(dataset: Dataset) -> GapResult:
         ),
     )
     candidates = (
-        ComparedModel("command", "boom", (), {}, 68.1, 71.3, 9120.0, "no effect: rejected"),
-        _trial("valve_deadband(boom)", {"positive": 0.0808, "negative": 0.0493}, 1.01, 0.99, 0.0, "named"),
-        _trial("gain_error(boom)", {"ratio": 0.91}, 31.0, 36.2, 5133.0, "rejected: 36 × the noise floor"),
-        _trial("asymmetric_gain(boom)", {"ratio": 1.04}, 49.0, 50.2, 7411.0, "rejected"),
-        _trial("backlash(slew, structure)", {"width": 0.01052}, 1.02, 1.01, 0.0, "named"),
-        ComparedModel("joint", "slew", (), {}, 22.4, 23.1, 3120.0, "no effect: rejected"),
+        ComparedModel("command", "boom", (), {}, 68.1, 71.3, 9120.0, "4560 ± 90 nats worse"),
+        _trial("valve_deadband(boom)", {"positive": 0.0808, "negative": 0.0493}, 1.01, 0.99, 0.0, "survives"),
+        _trial("gain_error(boom)", {"ratio": 0.91}, 31.0, 36.2, 5133.0, "2566 ± 70 nats worse"),
+        _trial("asymmetric_gain(boom)", {"ratio": 1.04}, 49.0, 50.2, 7411.0, "3705 ± 85 nats worse"),
+        _trial("backlash(slew, structure)", {"width": 0.01052}, 1.02, 1.01, 0.0, "survives"),
+        ComparedModel("joint", "slew", (), {}, 22.4, 23.1, 3120.0, "1560 ± 55 nats worse"),
     )
     return GapResult(
         dataset.reference,

@@ -53,7 +53,7 @@ def _make(folder: Path) -> None:
     after = place.models.register("autolog", "plant", plant.to_files(), repaired)
     place.models.promote(after.reference)
     stored = replace(result, dataset=own.reference, plant_before=before.reference, plant_after=after.reference)
-    save_gap(place.results(own) / "gap", stored)
-    broken = place.results(own).with_name("autolog@2") / "gap"
+    save_gap(place.gap_folder(own), stored)
+    broken = place.gap_folder(own).parent.with_name("autolog@2") / "gap"
     broken.mkdir(parents=True)
     (broken / "result.json").write_text('{"plant": {"before": "autolog@1"')

@@ -116,17 +116,6 @@ def test_what_cannot_be_set_back_is_said_and_may_be_accepted(workspace: Path, ch
     assert Registry(workspace).repair().left == ()
 
 
-def test_a_registry_from_before_there_were_seals_is_read_and_sealed_by_its_next_change(workspace: Path) -> None:
-    before = state(workspace)
-    execute(workspace, "DELETE FROM model_version_tags WHERE key = 'sysid.seal'", "DELETE FROM registered_model_tags")
-    assert state(workspace) == before
-    Registry(workspace).register("arm", "plant", FILES, {"n": 3})
-    execute(workspace, METRICS)
-    with pytest.raises(StoreError, match="arm@2: its figures"):
-        Registry(workspace).list()
-    assert Registry(workspace).find("leg").version == 1
-
-
 def half_made(workspace: Path) -> None:
     """As left by a process that was killed while MLflow made the tables."""
     (workspace / "registry.db").unlink()

@@ -19,7 +19,8 @@ from sysid.gap.experiment.excitation_verdict import excitation_report
 from sysid.gap.result import Check, EffectEvidence, Gap, GapResult, Promotion, WorldGap
 from sysid.machine import load_machine
 from sysid.plant import nominal_plant
-from sysid.reports import ReportInputs, VersionNote, build_report, write_report
+from sysid.registry import ModelVersion
+from sysid.reports import ReportInputs, build_report, write_report
 from sysid.reports.picture import Mark, machine_picture
 from sysid.reports.report import SECTIONS
 from sysid.reports.sections.traces import worst_moment
@@ -90,7 +91,7 @@ def gap(crane: Dataset) -> GapResult:
 
 @pytest.fixture(scope="module")
 def page(crane: Dataset, gap: GapResult) -> Page:
-    notes = (VersionNote("autolog@3", "dataset", "ab" * 32), VersionNote("autolog@2", "plant", "cd" * 32, ("autolog@3",)))
+    notes = (ModelVersion("autolog", 2, "plant", "cd" * 32, {"dataset": "autolog@3"}),)
     found = excitation_report(crane, nominal_plant(crane.machine))
     return Page(build_report(ReportInputs(crane, gap, versions=notes, created="21 November 2026", excitation=found)))
 
@@ -232,8 +233,8 @@ def test_cards_say_where_how_sure_and_what_share(page: Page) -> None:
 
 
 def test_evidence_says_why_the_others_lost(page: Page) -> None:
-    assert "held-out error 7.3 × that of the dead-band" in page.text, "words of a reason are kept where nothing was fitted"
-    assert page.row("Wrong speed gain")[-1] == "rejected: 36 × the noise floor"
+    assert "predicts 310 ± 25 nats worse" in page.text
+    assert page.row("Wrong speed gain")[-1] == "predicts 2566 ± 70 nats worse"
 
 
 def test_who_owns_the_gap_and_when_it_happens(page: Page) -> None:

@@ -17,6 +17,7 @@ from one_axis_logs import MACHINE, record
 
 from sysid.datasets.robot_files import Choices, drafted_files
 from sysid.errors import SysidError
+from sysid.figures import Table
 from sysid.files import json_text
 from sysid.foreign import is_unicode, visible
 from sysid.gap.adapters.mujoco.repair import read_side_file, write_side_file
@@ -73,7 +74,7 @@ def test_markdown(text: str) -> None:
 @given(TEXT)
 def test_card(text: str) -> None:
     """Cells of cards hold paths of raw files, and reasons of other people."""
-    words = Card("a@1", "plant", (CardBlock("Lineage", (), ("a", "b"), ((text, "end"),)),)).markdown()
+    words = Card("a@1", "plant", (CardBlock("Lineage", (), Table(("a", "b"), [(text, "end")])),)).markdown()
     rows = [token for token in markdown_it.MarkdownIt("gfm-like", {"linkify": False}).parse(words) if token.type == "td_open"]
     assert len(rows) == 2
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +45,7 @@ def test_a_map_shows_an_error_where_it_is() -> None:
 def test_the_most_telling_pair_comes_first_and_what_does_not_vary_has_none() -> None:
     a, b, speed = axes()
     still = MapAxis("c.joint", "rad", np.full(4000, 0.3))
-    found = error_maps(np.sign(speed.values) * np.abs(a.values), [a, b, speed, still])
+    found = error_maps(np.sign(speed.values) * np.abs(a.values), combinations([a, b, speed, still], 2))
     assert found[0].over == ("a.joint", "speed of a.joint")
     assert all("c.joint" not in item.over for item in found)
     assert found[0].explains > 5.0 * found[-1].explains

@@ -23,7 +23,7 @@ def test_predictions_of_a_network_and_effects_of_a_plant_are_compared_with_the_v
     network = block(versions, "autolog-actuator@2")
     assert network is not None
     assert network.title == "Changed since autolog-actuator@1"
-    rows = {row[0]: row[1:] for row in network.rows}
+    rows = {row[0]: row[1:] for row in network.table.rows}
     assert re.fullmatch(r"0\.1\d+°", rows["boom.joint"][0]), "off by 0.002 rad"
     assert rows["boom.cylinder"][0].startswith("0"), "the other direction is the same"
     assert block(versions, "autolog@2") is None, "all its effects are new: they are listed once"
@@ -43,14 +43,16 @@ def test_the_card_of_a_plant_has_errors_and_each_value_once_with_its_unit(tmp_pa
     place.models.register("autolog", "plant", files, lineage)
     versions = ModelVersions(place)
     card = {item.title: item for item in versions.card("autolog@3").blocks}
-    rows = {row[0]: tuple(cell.replace("\N{NARROW NO-BREAK SPACE}", " ") for cell in row[1:4]) for row in card["Error"].rows}
+    rows = {
+        row[0]: tuple(cell.replace("\N{NARROW NO-BREAK SPACE}", " ") for cell in row[1:4]) for row in card["Error"].table.rows
+    }
     assert rows["tool position"] == ("50.0 mm", "5.00 mm", "2.50 mm")
     assert rows["slew joint"][0] == "0.573°", "in the unit of the dataset"
     assert "manual-04" in card["Error"].text[0]
-    assert card["Added effects"].rows == (
+    assert card["Added effects"].table.rows == [
         ("Backlash", "slew", "width", "0.602°", "0.596 to 0.607°", "90\N{NARROW NO-BREAK SPACE}%"),
-    )
-    changed = {(row[0], row[2]): row[3:5] for row in card["Changed since autolog@2"].rows}
+    ]
+    changed = {(row[0], row[2]): row[3:5] for row in card["Changed since autolog@2"].table.rows}
     assert changed["Backlash", "width"][1] == "0.602°"
     assert changed["Swinging tool", "length"][1] == "none", "what is no longer in it"
     page = models_page(place.models.list(), "ws")

@@ -12,7 +12,7 @@ import click
 
 from sysid.cli import output
 from sysid.cli.interruption import leave_interrupts
-from sysid.cli.output import Printer, json_option, write_json
+from sysid.cli.output import Printer, json_option
 from sysid_rl.cli.streams import closed_stdout_ignored, open_standard_streams
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def run(
     seconds: float | None,
     view: bool,
     log: Path | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Run a recipe on its machine: track, hold, collect, replay, watch.
 
@@ -77,17 +77,16 @@ def run(
     workspace = open_workspace(ctx.obj)
     registry = workspace.models
     assembly = assemble(settings, registry, recipe)
-    printer = Printer(json_file)
     with closed_stdout_ignored():
-        _print_setup(printer, assembly)
+        _print_setup(out, assembly)
     line = connect(assembly, registry)
     for text in line.remarks:
-        printer.line(f"  note: {text}")
+        out.line(f"  note: {text}")
     if dry_run:
         found = run_dry(assembly, seconds or 60.0)
-        printer.line(f"Dry run of {found.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
-        _print_outcome(printer, assembly, found.outcome, found.ranges)
-        write_json(json_file, {"schema": 1, "dry_run": True, **_figures(assembly, found.outcome, found.ranges)})
+        out.line(f"Dry run of {found.seconds:.0f} s on the simulated machine; nothing was opened or sent.")
+        _print_outcome(out, assembly, found.outcome, found.ranges)
+        out.json({"schema": 1, "dry_run": True, **_figures(assembly, found.outcome, found.ranges)})
         return
     leave_interrupts()  # from here on the machine decides how a run stops
     transport = line.transport
@@ -108,7 +107,7 @@ def run(
         loop = assembly.loop(transport, recorders, person)
         mode = loop.mode
         if line.wired and mode.moves and not isinstance(mode, Commission):
-            printer.line(f"  {require_commissioned(assembly, recipe)}")
+            out.line(f"  {require_commissioned(assembly, recipe)}")
         flight = FlightLog(
             folder, assembly.machine_file, transport.axes, transport.signals, words, kind=kind, clock_ns=transport.now_ns()
         )
@@ -134,15 +133,15 @@ def run(
     try:
         if isinstance(mode, Commission):
             kept = keep_record(assembly, mode, recipe, str(flight.path))
-        with closed_stdout_ignored(json_file == "-"):
-            write_json(json_file, {"schema": 1, "dry_run": False, "log": str(flight.path), **figures})
+        with closed_stdout_ignored(out.json_file == "-"):
+            out.json({"schema": 1, "dry_run": False, "log": str(flight.path), **figures})
     except (OSError, SysidError) as error:  # raised after the outcome is printed
         failed = error
     with closed_stdout_ignored():
-        _print_outcome(printer, assembly, outcome, ranges)
+        _print_outcome(out, assembly, outcome, ranges)
         if isinstance(mode, Commission) and kept is not None:
-            _commissioned(printer, mode, kept)
-        printer.line(f"{flight.path}   (a recording: {output.command('ingest', folder, '--recipe', folder / 'recipe.toml')})")
+            _commissioned(out, mode, kept)
+        out.line(f"{flight.path}   (a recording: {output.command('ingest', folder, '--recipe', folder / 'recipe.toml')})")
     if missing := unwritten or failed:
         raise missing
     if outcome.ended == "fault" or (isinstance(mode, Commission) and not mode.passed):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sysid.cli.output import Printer, json_option, progress_bar, rerun_command, write_json
+from sysid.cli.output import FOLDER, Printer, json_option, progress_bar, rerun_command, write_json
 
 if TYPE_CHECKING:
     from sysid.networks.policy import PolicyNetwork
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 )
 @click.option("--centre", type=(float, float, float), default=None, metavar="X Y Z", help="Of helix or circle [m].")
 @click.option("--untuned", is_flag=True, help="With a plain proportional controller below (--full), for comparison.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=None, metavar="DIR", help="Output folder.")
+@click.option("--out", "place", type=FOLDER, metavar="DIR", help="Output folder.")
 @json_option
 @click.pass_obj
 def track(
@@ -59,8 +59,8 @@ def track(
     scatter: float,
     centre: tuple[float, float, float] | None,
     untuned: bool,
-    out: Path | None,
-    json_file: str | None,
+    place: Path | None,
+    out: Printer,
 ) -> None:
     """Follow a path and report the tracking error of the end effector, sampled at the end of each step.
 
@@ -110,22 +110,19 @@ def track(
             runs.append(course.baseline(name))
         kind = "full" if full else "kinematic"
         name = check_file_name(f"{policy.replace('@', '-')}-{course.path.name}-{kind}", "path")
-        folder = out or workspace.root.make(f"tracks/{name}")
+        folder = place or workspace.root.make(f"tracks/{name}")
         files = write_results(folder, simulation.machine, runs)
-    printer = Printer(json_file)
-    _show(printer, runs)
+    _show(out, runs)
     how = "cylinder controller, valves and plant" if full else "joints follow at once (the paper's setting)"
     begin = course.path.points[0]
-    printer.line(
-        f"{course.path.name}: {len(runs[0].time)} steps at {course.path.rate_hz:g} Hz, up to {course.path.speed:.3f} m/s,"
-    )
-    printer.line(f"from ({begin[0]:.3f}, {begin[1]:.3f}, {begin[2]:.3f}) m. {simulation.reference}, {how}.")
+    out.line(f"{course.path.name}: {len(runs[0].time)} steps at {course.path.rate_hz:g} Hz, up to {course.path.speed:.3f} m/s,")
+    out.line(f"from ({begin[0]:.3f}, {begin[1]:.3f}, {begin[2]:.3f}) m. {simulation.reference}, {how}.")
     if full:
         axis, share = max(course.demand.items(), key=lambda item: item[1], default=("", 0.0))
         much = ", which it cannot reach" if share > 1.0 else ""
-        printer.line(f"The axis with the highest demand is {axis}: {100.0 * share:.0f} % of its maximum speed{much}.")
-    printer.line(f"Inverse kinematics on the geometry of the {course.kinematics}; forward model {forward}.")
-    printer.line(f"{folder}   (view: {rerun_command(files['rerun'])})")
+        out.line(f"The axis with the highest demand is {axis}: {100.0 * share:.0f} % of its maximum speed{much}.")
+    out.line(f"Inverse kinematics on the geometry of the {course.kinematics}; forward model {forward}.")
+    out.line(f"{folder}   (view: {rerun_command(files['rerun'])})")
     values: dict[str, Any] = {
         "schema": 1,
         "plant": simulation.reference,
@@ -142,7 +139,7 @@ def track(
         "rows": [run.to_json() for run in runs],
         "files": files,
     }
-    write_json(json_file, values)
+    out.json(values)
     write_json(folder / "result.json", values)
 
 

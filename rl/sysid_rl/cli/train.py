@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from sysid.cli.output import Printer, cluster_option, json_option, progress_bar, write_json
+from sysid.cli.output import Printer, cluster_option, json_option, progress_bar
 from sysid.errors import SettingsError
 
 
@@ -32,7 +32,7 @@ def train(
     trusted_network: bool,
     tensorboard: bool,
     mlflow: str | None,
-    json_file: str | None,
+    out: Printer,
 ) -> None:
     """Train a policy that moves the end effector to a target, with the plant and forward model that the recipe names.
 
@@ -46,7 +46,6 @@ def train(
     settings = load_training(recipe)
     first = settings.seed if seed is None else seed
     recipes = [replace(settings, seed=number) for number in range(first, first + (seeds or 1))]
-    out = Printer(json_file)
     if len(recipes) == 1:
         with progress_bar(f"train {settings.name}") as progress:
             results = [_one(location, recipes[0], tensorboard, mlflow, progress)]
@@ -61,7 +60,7 @@ def train(
     columns = ("policy", "seed", "reaching x/y/z", "staying x/y/z", "worst", "time", "CPU", "updates/s")
     out.table(columns, [_row(result) for result in results], right=(1, 5, 6, 7))
     out.line("The actor alone, root mean square error in mm, from 512 random poses to random targets, then staying there.")
-    write_json(json_file, {"schema": 1, "policies": results})
+    out.json({"schema": 1, "policies": results})
 
 
 def _one(location: str, recipe: object, tensorboard: bool, mlflow: str | None, progress: object) -> dict[str, object]:

@@ -27,6 +27,9 @@ ABOUT = {
     "motion": "Commands to motion in free runs: errors some seconds after each start, and over whole recordings.",
     "forward": "Joint values to the position of the tip.",
 }
+#: Curves over a variable; bars over a direction have their colours.
+NOISE_LINE: dict[str, Any] = {"color": "$noise", "width": 1.4, "dash": "dot"}
+ERROR_LINE: dict[str, Any] = {"color": "$link", "width": 2}
 #: Spikes listed for each report.
 MAX_SPIKES = 12
 
@@ -58,7 +61,6 @@ def _report(report: ValidationReport, number: int) -> dict[str, Any]:
         "model": report.model,
         "about": ABOUT[report.kind],
         "recommendation": report.recommendation,
-        "role": {"held_out": "held-out", "select": "selection", "fit": "fit"}[report.role],
         "paper": paper is not None,
         "figures": Table(header, rows, (*range(2, 6 + len(beside)), 7 + len(beside))),
         "round_trips": [
@@ -104,16 +106,10 @@ def _profiles(output: OutputReport, identifier: str) -> dict[str, Any]:
             x = packed(0.5 * (edges[1:] + edges[:-1]))
         title = words.signal_name(signal) if kind == "position" else kind
         common = {"x": x, "xaxis": f"x{suffix}", "yaxis": f"y{suffix}", "showlegend": index == 1}
-        rmse, p95 = (packed(factor * np.array(values)) for values in (profile.rmse, profile.p95))
-        if kind == "direction":
-            traces.append({**common, "type": "bar", "y": p95, "name": "95 %", "marker": {"color": "$noise"}})
-            traces.append({**common, "type": "bar", "y": rmse, "name": "RMS", "marker": {"color": "$link"}})
-        else:
-            line = {"type": "scatter", "mode": "lines"}
-            traces.append(
-                {**common, **line, "y": p95, "name": "95 %", "line": {"color": "$noise", "width": 1.4, "dash": "dot"}}
-            )
-            traces.append({**common, **line, "y": rmse, "name": "RMS", "line": {"color": "$link", "width": 2}})
+        for name, values, line in (("95 %", profile.p95, NOISE_LINE), ("RMS", profile.rmse, ERROR_LINE)):
+            own = {"type": "bar"} if kind == "direction" else {"type": "scatter", "mode": "lines"}
+            look = {"marker": {"color": line["color"]}} if kind == "direction" else {"line": line}
+            traces.append({**common, **own, "y": packed(factor * np.array(values)), "name": name, **look})
         layout[f"xaxis{suffix}"] = {"title": title if kind == "direction" else display.with_unit(title, profile.unit)}
         layout[f"yaxis{suffix}"] = {"title": label if column == 0 else "", "rangemode": "tozero"}
     return {

@@ -23,7 +23,7 @@ from sysid.datasets.quality.use import SMALL as SMALL_COMMAND
 from sysid.datasets.recording import Dataset
 from sysid.figures import Table
 from sysid.reports import words
-from sysid.reports.charts import SMALL, WIDE, ChartCurve, Plane, chart, svg_element, tick_texts
+from sysid.reports.charts import SMALL, WIDE, ChartCurve, Plane, captioned, chart, svg_element, tick_texts
 from sysid.reports.dataset_texts import (
     USES,
     clock_summary,
@@ -48,7 +48,7 @@ from sysid.reports.inputs import ReportInputs
 MAP, MAP_LEFT, MAP_TOP = 200.0, 58.0, 8.0
 
 
-def command_picture(use: AxisUse, unit: str, small: bool, size: tuple[float, float] = SMALL) -> str:
+def command_picture(use: AxisUse, unit: str, small: bool, size: tuple[float, float] = SMALL) -> Markup:
     """Seconds at each command, idle time left out; the band of small commands is marked.
 
     Args:
@@ -75,7 +75,7 @@ def _range(ends: tuple[float, float], full: float) -> str:
     return " to ".join(display.number(full * end, 2) for end in ends)
 
 
-def map_picture(found: PairMap, rests: Sequence[Rest], units: Mapping[str, str]) -> str:
+def map_picture(found: PairMap, rests: Sequence[Rest], units: Mapping[str, str]) -> Markup:
     """Time in each cell of two ranges (logarithmic shade), static poses, and postures at rest."""
     width, height = MAP_LEFT + MAP + 12.0, MAP_TOP + MAP + 40.0
     a, b = found.first, found.second
@@ -204,10 +204,10 @@ def _ranges(evidence: DatasetEvidence, dataset: Dataset) -> list[dict[str, Any]]
     return rows
 
 
-def _axis(name: str, use: AxisUse, dataset: Dataset, size: tuple[float, float]) -> dict[str, Any]:
+def _axis(name: str, use: AxisUse, dataset: Dataset, size: tuple[float, float]) -> Markup:
     unit, small = dataset.units.get(f"{name}.command", "1"), not dataset.machine.axis(name).follows_positions
-    picture = Markup(command_picture(use, unit, small, size))
-    return {"name": name, "picture": picture, "changes": use.command_changes, "reversals": use.reversals}
+    text = Markup("<b>{}</b> · {} reversals of the motion, {} changes of the command")
+    return captioned(command_picture(use, unit, small, size), text.format(name, use.reversals, use.command_changes))
 
 
 def _by_recording(evidence: DatasetEvidence, dataset: Dataset) -> Table:
@@ -225,17 +225,15 @@ def _by_recording(evidence: DatasetEvidence, dataset: Dataset) -> Table:
     )
 
 
-def _map(item: PairMap, evidence: DatasetEvidence, dataset: Dataset) -> dict[str, Any]:
+def _map(item: PairMap, evidence: DatasetEvidence, dataset: Dataset) -> Markup:
     missing = (
         " (no limits known: relative to the recorded range)" if "recorded" in (item.first.source, item.second.source) else ""
     )
     visited = display.percent(item.covered_moving)
     if item.covered > item.covered_moving:
         visited += f" (with the poses {display.percent(item.covered)})"
-    return {
-        "picture": Markup(map_picture(item, evidence.postures, dataset.units)),
-        "caption": f"{item.first.axis} and {item.second.axis}: {visited} of the cells visited{missing}",
-    }
+    caption = f"{item.first.axis} and {item.second.axis}: {visited} of the cells visited{missing}"
+    return captioned(map_picture(item, evidence.postures, dataset.units), caption)
 
 
 # -- clocks --------------------------------------------------------------------------------------------------------------
@@ -268,20 +266,18 @@ def _record(item: ClockResidual, dataset: Dataset) -> dict[str, Any]:
         "interval": f"{display.fixed(record.offset_interval95[0], 6)} … {display.fixed(record.offset_interval95[1], 6)}",
         "reason": record.reason[:1].upper() + record.reason[1:],
         "pictures": [
-            {"picture": Markup(drawn), "caption": "offset correction of every 2 s; grey: 95 % interval of the record"},
-            {"picture": Markup(rest), "caption": "residual of every 2 s in standard deviations of its noise"},
+            captioned(drawn, "offset correction of every 2 s; grey: 95 % interval of the record"),
+            captioned(rest, "residual of every 2 s in standard deviations of its noise"),
             *[_pair(pair, dataset) for pair in item.pairs],
         ],
     }
 
 
-def _pair(pair: PairResidual, dataset: Dataset) -> dict[str, Any]:
+def _pair(pair: PairResidual, dataset: Dataset) -> Markup:
     ours, other = pair.name.split("~")
     across, up = (dataset.units.get(signal, dataset.machine.expected_unit(signal)) for signal in (ours, other))
     factor = display.shown_unit(up)[0]
     line = ChartCurve(factor * pair.mean, "before", dots=True, spread=factor * pair.spread)
     labels = display.with_unit(words.signal_name(ours), across), display.with_unit("residual", up)
-    return {
-        "picture": Markup(chart(display.shown_unit(across)[0] * pair.motion, [line], labels)),
-        "caption": f"{words.signal_name(other)} against {words.signal_name(ours)}, over the motion",
-    }
+    drawn = chart(display.shown_unit(across)[0] * pair.motion, [line], labels)
+    return captioned(drawn, f"{words.signal_name(other)} against {words.signal_name(ours)}, over the motion")

@@ -12,14 +12,14 @@ from markupsafe import Markup
 from sysid import display
 from sysid.datasets.quality.responses import BLOCK_S, AxisResponse, Direction, responses_of
 from sysid.figures import Table
-from sysid.reports.charts import ChartCurve, chart
+from sysid.reports.charts import ChartCurve, captioned, chart
 from sysid.reports.inputs import ReportInputs
 
 
 def context(inputs: ReportInputs) -> dict[str, Any] | None:
     found = responses_of(inputs.dataset)
     shown = [response for response in found if math.isfinite(response.delay)]
-    pictures = [(response.axis, picture) for response in shown if (picture := _picture(response))]
+    pictures = [picture for response in shown if (picture := _picture(response))]
     unknown = [response.axis for response in found if not math.isfinite(response.delay)]
     return {"figures": response_table(shown, "Axis"), "pictures": pictures, "unknown": unknown} if shown else None
 
@@ -74,4 +74,5 @@ def _picture(response: AxisResponse) -> Markup:
         return Markup("")
     command, speed = np.array(sorted(bins)).T
     curve = ChartCurve(display.shown_unit(f"{response.unit}/s")[0] * speed, "measured", dots=True)
-    return Markup(chart(command, [curve], ("command", display.with_unit("speed", f"{response.unit}/s"))))
+    drawn = chart(command, [curve], ("command", display.with_unit("speed", f"{response.unit}/s")))
+    return captioned(drawn, f"{response.axis}: speed over the command")

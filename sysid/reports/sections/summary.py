@@ -16,48 +16,42 @@ from sysid.gap.statement import AGREES, left_out_sentence, missing_sentences, or
 from sysid.machine import Machine
 from sysid.reports import words
 from sysid.reports.inputs import ReportInputs
-from sysid.reports.next_steps import next_steps
 from sysid.reports.picture import Mark, has_valve, machine_picture, marks_of, part_of, place_text, stage_marks
-from sysid.reports.result_figures import effect_figures, named_sentence, point_errors, residual_sentence
+from sysid.reports.result_figures import effect_figures, named_sentence, next_steps, point_errors, residual_sentence
 from sysid.reports.sections.where import above_floor, maps_of, over_name, sentence
 from sysid.reports.words import confidence, remainder_unit
 
+#: What a dataset without a comparison lacks.
+_NOTHING: dict[str, Any] = {
+    **dict.fromkeys(("advice", "chart", "figures"), ""),
+    **dict.fromkeys(("brief", "errors", "cards", "sure", "held_out"), ()),
+    "repaired": False,
+}
+
 
 def context(inputs: ReportInputs) -> dict[str, Any]:
-    machine = inputs.dataset.machine
-    if inputs.gap is None:
+    gap, machine, units = inputs.gap, inputs.dataset.machine, inputs.dataset.units
+    if gap is None:
         return {
+            **_NOTHING,
             "headline": "Simulation and machine have not been compared yet.",
-            "advice": "",
             "tone": "open",
-            "picture": Markup(machine_picture(machine)),
+            "picture": machine_picture(machine),
             "legend": _legend(machine, ""),
-            "brief": [],
-            "errors": [],
             "next": [("Compare", Markup("<code>sysid gap {}</code>").format(inputs.dataset.reference))],
-            "cards": [],
-            "sure": [],
-            "figures": None,
-            "chart": "",
-            "held_out": [],
-            "repaired": False,
         }
-    gap = inputs.gap
-    only = bool(gap.settings.get("localise_only"))
-    lines = point_errors(gap.gap, inputs.dataset.units)
+    lines, only = point_errors(gap.gap, units), bool(gap.settings.get("localise_only"))
     found = disagreeing(gap) if only else []
     marks = stage_marks(found, machine) if only else marks_of(gap, machine)
-    cards = _located(found, gap, inputs.dataset.units) if only else _cards(gap, marks, inputs.dataset)
+    cards = _located(found, gap, units) if only else _cards(gap, marks, inputs.dataset)
+    places = [f"{words.owner_name(item.target)} ({words.stage_name(item.stage)})" for item in found]
+    numbers = "Numbers mark stages with errors." if only else "Numbers mark the results."
     return {
-        "headline": words.localised([f"{words.owner_name(i.target)} ({words.stage_name(i.stage)})" for i in found])
-        if found
-        else gap.headline,
+        "headline": words.localised(places) if places else gap.headline,
         "advice": "" if only else words.ADVICE.get(gap.verdict, ""),
         "tone": "open" if only else {"named": "found", "no_gap": "good"}.get(gap.verdict, "open"),
-        "picture": Markup(machine_picture(machine, marks)),
-        "legend": _legend(
-            machine, "" if not marks else "Numbers mark stages with errors." if only else "Numbers mark the results."
-        ),
+        "picture": machine_picture(machine, marks),
+        "legend": _legend(machine, numbers if marks else ""),
         "brief": cards,
         "errors": main_errors(lines),
         "next": _next(inputs, gap, only),
@@ -70,7 +64,7 @@ def context(inputs: ReportInputs) -> dict[str, Any]:
             *response_sentences(gap.responses, bool(gap.written)),
         ],
         "figures": _figures(lines),
-        "chart": Markup(dumbbells(lines, repaired=gap.repaired)),
+        "chart": dumbbells(lines, repaired=gap.repaired),
         "held_out": gap.held_out_recordings,
         "repaired": gap.repaired,
     }
@@ -128,16 +122,12 @@ def _located(found: Sequence[StageGap], gap: GapResult, units: Mapping[str, str]
     cards = []
     for number, item in enumerate(found, 1):
         unit = units.get(item.signal, "1")
-        error = display.quantity(item.stage_rmse, unit)
-        size = f"{words.signal_name(item.signal)} has an error of {error}, "
+        error, over = display.quantity(item.stage_rmse, unit), f"{times(item.stage_rmse, item.noise_floor)} the noise floor"
+        name = words.signal_name(item.signal)
         details = [sentence(maps[0], item, unit)] if (maps := maps_of(gap, item)) else []
-        title, text = (
-            words.owner_name(item.target).capitalize(),
-            f"{size}{times(item.stage_rmse, item.noise_floor)} the noise floor.",
-        )
-        value = f"{error} RMS, {times(item.stage_rmse, item.noise_floor)} the noise floor"
-        text = text[0].upper() + text[1:]
-        cards.append(_card(number, title, words.stage_name(item.stage), value, text, details, sure=False))
+        title = words.owner_name(item.target).capitalize()
+        text = f"{name[0].upper()}{name[1:]} has an error of {error}, {over}."
+        cards.append(_card(number, title, words.stage_name(item.stage), f"{error} RMS, {over}", text, details, sure=False))
     return cards
 
 
@@ -155,11 +145,8 @@ def _cards(gap: GapResult, marks: Sequence[Mark], dataset: Dataset) -> list[dict
         place = f"at the {place_text(mark.part, mark.target)}"
         place = f"of {words.signal_name(item.target)} in the free run" if item.stage == "free_run" else place
         text = f"An error {place} is not explained by any known effect ({size} RMS)."
-        known = (
-            f"It depends on {over_name(item.depends_on)}."
-            if not item.depends_on.startswith("nothing")
-            else "It depends on no measured signal."
-        )
+        depends = "no measured signal" if item.depends_on.startswith("nothing") else over_name(item.depends_on)
+        known = f"It depends on {depends}."
         quiet = [known, *_residual_models(gap, item, dataset)]
         value = f"{size} RMS, {known[0].lower()}{known[1:-1]}"
         cards.append(_card(len(cards) + 1, "Unnamed", words.owner_name(item.target), value, text, quiet, sure=False))
@@ -211,11 +198,11 @@ def _figures(lines: Sequence[ErrorFigure]) -> Table:
     return Table(("Signal", "Before", "After", "Noise floor", "Unit", "Closed"), rows, (1, 2, 3, 5))
 
 
-def dumbbells(lines: Sequence[ErrorFigure], repaired: bool) -> str:
+def dumbbells(lines: Sequence[ErrorFigure], repaired: bool) -> Markup:
     """Before and after as multiples of the noise floor on one logarithmic axis, a row for each signal with its values."""
     scored = [line for line in lines if line.noise_floor > 0.0 and math.isfinite(line.before + line.after)]
     if not scored:
-        return ""
+        return Markup("")
     ratios = [(line.before / line.noise_floor, line.after / line.noise_floor) for line in scored]
     decades = max(1, math.ceil(math.log10(max(1.0, *map(max, ratios)) * 1.05)))
 
@@ -236,4 +223,5 @@ def dumbbells(lines: Sequence[ErrorFigure], repaired: bool) -> str:
         rows.append(f"<li><span>{escape(line.name)}</span><b>{band}{marks}</b><small>{escape(text)}</small></li>")
     names = ["floor", *(display.ratio(10.0**decade) for decade in range(1, decades + 1))]
     places = (f'<i style="left:{x(10.0**decade):.1f}%">{name}</i>' for decade, name in enumerate(names))
-    return f'<ol class="dumbbells">{"".join(rows)}<li class="scale" aria-hidden="true"><b>{"".join(places)}</b></li></ol>'
+    scale = f'<li class="scale" aria-hidden="true"><b>{"".join(places)}</b></li>'
+    return Markup(f'<ol class="dumbbells">{"".join(rows)}{scale}</ol>')

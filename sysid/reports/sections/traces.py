@@ -18,7 +18,7 @@ from sysid.gap.disagreement import worst_row
 from sysid.gap.result import GapResult, Traces
 from sysid.machine import Kinematics, Machine
 from sysid.reports import words
-from sysid.reports.charts import WIDE, ChartCurve, chart, embed, packed, space_path, thin
+from sysid.reports.charts import WIDE, ChartCurve, captioned, chart, embed, packed, space_path, thin
 from sysid.reports.inputs import ReportInputs
 from sysid.signals import axis_signal, point_signals
 
@@ -75,7 +75,7 @@ def largest_error_signals(gap: GapResult) -> list[str]:
     return list(owners.values())[:MAX_SIGNALS]
 
 
-def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> str:
+def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired: bool) -> Markup:
     """Measured, before and after around a moment; errors instead if the curves could not be distinguished."""
     factor, _ = display.shown_unit(unit)
     time = _column(trace.measured["time"])
@@ -93,7 +93,7 @@ def moment_chart(trace: Traces, moment: Moment, unit: str, label: str, repaired:
     return chart(time[there], lines, ("time [s]", display.with_unit(what, unit)), include_zero=not apart, size=WIDE)
 
 
-def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: float) -> str:
+def error_chart(trace: Traces, moment: Moment, unit: str, label: str, noise: float) -> Markup:
     """The error after the repair around its maximum, with the noise floor."""
     factor, _ = display.shown_unit(unit)
     time = _column(trace.measured["time"])
@@ -206,7 +206,7 @@ def context(inputs: ReportInputs) -> dict[str, Any] | None:
     }
 
 
-def _paths(traces: Sequence[Traces], repaired: bool) -> list[dict[str, Any]]:
+def _paths(traces: Sequence[Traces], repaired: bool) -> list[Markup]:
     """The measured path of the tool, else of the tip, coloured by the distance of the simulated one [mm], in one scale."""
     for point in ("tool", "ee"):
         found = [(item, errors) for item in traces if (errors := _distances(item, point)) is not None]
@@ -217,11 +217,11 @@ def _paths(traces: Sequence[Traces], repaired: bool) -> list[dict[str, Any]]:
         points = trace.measured[list(point_signals(point))].to_numpy(dtype=np.float64)[rows]
         titles = {"before": "before", "after": "after the repair"} if repaired else {"before": "simulated"}
         return [
-            {
-                "picture": Markup(space_path(points, 1e3 * errors[version][rows], most, "mm")),
-                "caption": f"{words.owner_name(point)} in {trace.recording}, {title}: at most "
+            captioned(
+                space_path(points, 1e3 * errors[version][rows], most, "mm"),
+                f"{words.owner_name(point)} in {trace.recording}, {title}: at most "
                 f"{display.quantity(float(np.nanmax(errors[version])), 'm', 2)} apart (circle)",
-            }
+            )
             for version, title in titles.items()
         ]
     return []
@@ -243,11 +243,11 @@ def _replay(inputs: ReportInputs, repaired: bool) -> dict[str, Any] | None:
     return {**found, "data": embed("replay-data", found)} if found is not None else None
 
 
-def _moments(inputs: ReportInputs, repaired: bool) -> list[dict[str, Any]]:
+def _moments(inputs: ReportInputs, repaired: bool) -> list[Markup]:
     """The largest error of the signals with the largest errors, before and after the repair."""
     assert inputs.gap is not None
     traces = {trace.recording: trace for trace in inputs.gap.traces}
-    found = []
+    found: list[Markup] = []
     for signal in largest_error_signals(inputs.gap):
         unit, label = inputs.dataset.units.get(signal, "1"), words.signal_name(signal)
         floor = inputs.gap.gap.noise_floor.get(signal, 0.0)
@@ -257,20 +257,14 @@ def _moments(inputs: ReportInputs, repaired: bool) -> list[dict[str, Any]]:
         text = f"{label}, {worst.recording} at {worst.time:.1f} s: error {display.quantity(worst.before, unit, 2)}"
         if repaired:
             text += f" before, {display.quantity(worst.after, unit, 2)} after"
-        entry = {
-            "picture": Markup(moment_chart(traces[worst.recording], worst, unit, label, repaired)),
-            "caption": text,
-            "left": "",
-            "left_caption": "",
-        }
+        found.append(captioned(moment_chart(traces[worst.recording], worst, unit, label, repaired), text))
         left = worst_moment(inputs.gap.traces, signal, "after") if repaired else None
         if left is not None:
-            entry["left"] = Markup(error_chart(traces[left.recording], left, unit, label, floor))
-            entry["left_caption"] = (
+            text = (
                 f"largest error after: {display.quantity(left.after, unit, 2)} in {left.recording} at {left.time:.1f} s "
-                f"(grey: twice the noise floor)"
+                "(grey: twice the noise floor)"
             )
-        found.append(entry)
+            found.append(captioned(error_chart(traces[left.recording], left, unit, label, floor), text))
     return found
 
 

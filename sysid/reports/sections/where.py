@@ -13,7 +13,7 @@ from sysid import display
 from sysid.gap.result import GapResult, Map, Share, StageGap
 from sysid.names import listed
 from sysid.reports import words
-from sysid.reports.charts import ChartCurve, chart
+from sysid.reports.charts import ChartCurve, captioned, chart
 from sysid.reports.inputs import ReportInputs
 from sysid.signals import POINTS, point_signals
 
@@ -155,16 +155,16 @@ def _outputs(gap: GapResult, inputs: ReportInputs) -> list[dict[str, Any]]:
         maps = maps_of(gap, item)
         if not maps:
             continue
-        drawn = [_figure(m) for m in maps]
+        command = f"{item.target}.command"
+        drawn = [_characteristic(m) for m in maps if m.measured and m.over == command][:1] + [_figure(m) for m in maps]
         count = SHOWN if maps[0].explains > MIN_EXPLAINED else 1
-        characteristic = next((_characteristic(m) for m in maps if m.measured and m.over == f"{item.target}.command"), None)
         outputs.append(
             {
                 "signal": words.signal_name(item.signal),
                 "stage": words.stage_name(item.stage),
                 "text": sentence(maps[0], item, inputs.dataset.units.get(item.signal, "1")),
-                "first": [*([characteristic] if characteristic else []), *drawn][:count],
-                "others": [*([characteristic] if characteristic else []), *drawn][count:],
+                "first": drawn[:count],
+                "others": drawn[count:],
             }
         )
     return outputs
@@ -190,18 +190,9 @@ def sentence(most: Map, whole: StageGap, unit: str) -> str:
         largest = int(np.argmax(np.abs(most.mean)))
         factor, label = display.shown_unit(most.unit)
         at = f"{display.number(factor * most.at[largest], 2)}{display.NARROW_SPACE}{label}".rstrip()
-        at = (
-            {-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(most.at[largest], at)
-            if _is_direction(most)
-            else f"at {at}"
-        )
-        what = (
-            "the speed error"
-            if most.quantity == "speed error"
-            else "the rest"
-            if parts and whole.frequency == 0.0
-            else "the error"
-        )
+        at = DIRECTIONS.get(most.at[largest], at) if _is_direction(most) else f"at {at}"
+        what = "the rest" if parts and whole.frequency == 0.0 else "the error"
+        what = "the speed error" if most.quantity == "speed error" else what
         text = f"{what} depends most on {over_name(most.over)}, which explains {display.percent(most.explains)} of it"
         parts.append(f"{text} (largest {at}: {display.quantity(most.mean[largest], most.error_unit, 2)})")
     elif not parts:
@@ -218,26 +209,28 @@ def over_name(over: str) -> str:
     return f"{head} of {words.signal_name(signal)}" if "." in signal else over
 
 
+#: Value of a direction → text.
+DIRECTIONS = {-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}
+
+
 def _is_direction(item: Map) -> bool:
     return item.over.startswith("direction of ")
 
 
-def _figure(item: Map) -> dict[str, Any]:
+def _figure(item: Map) -> Markup:
     labels = display.with_unit(over_name(item.over), item.unit), display.with_unit(item.quantity, item.error_unit)
     factor, x_factor = (display.shown_unit(unit)[0] for unit in (item.error_unit, item.unit))
     x = x_factor * np.array(item.at)
     lines = [ChartCurve(factor * np.array(item.mean), "before", dots=True, spread=factor * np.array(item.spread))]
     if item.after:
         lines.append(ChartCurve(factor * np.array(item.after), "after", dots=True))
-    names = [{-1.0: "backwards", 0.0: "at rest", 1.0: "forwards"}.get(at, "") for at in item.at] if _is_direction(item) else []
+    names = [DIRECTIONS.get(at, "") for at in item.at] if _is_direction(item) else []
     rows = display.fixed(float(sum(item.count)), 0)
-    return {
-        "picture": Markup(chart(x, lines, labels, factor * item.noise_floor, names)),
-        "caption": f"over {over_name(item.over)}: explains {display.percent(item.explains)} ({rows} samples)",
-    }
+    caption = f"over {over_name(item.over)}: explains {display.percent(item.explains)} ({rows} samples)"
+    return captioned(chart(x, lines, labels, factor * item.noise_floor, names), caption)
 
 
-def _characteristic(item: Map) -> dict[str, Any]:
+def _characteristic(item: Map) -> Markup:
     """Speed over command, measured and simulated."""
     labels = display.with_unit(over_name(item.over), item.unit), display.with_unit("speed", item.error_unit)
     factor, x_factor = (display.shown_unit(unit)[0] for unit in (item.error_unit, item.unit))
@@ -245,7 +238,5 @@ def _characteristic(item: Map) -> dict[str, Any]:
         ChartCurve(factor * np.array(item.simulated), "before"),
         ChartCurve(factor * np.array(item.measured), "measured", dots=True),
     ]
-    return {
-        "picture": Markup(chart(x_factor * np.array(item.at), lines, labels)),
-        "caption": "speed over command: measured (dots), simulated (line)",
-    }
+    drawn = chart(x_factor * np.array(item.at), lines, labels)
+    return captioned(drawn, "speed over command: measured (dots), simulated (line)")
