@@ -48,17 +48,12 @@ def end_with_parent(parent: int) -> None:
         parent: process id of the parent, which may have ended already.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    die_with_parent()
-    if os.getppid() != parent:
-        os._exit(1)
-
-
-def die_with_parent() -> None:
-    """From now on the system kills this process when its parent ends; on Linux."""
     if sys.platform == "linux":
         import ctypes
 
-        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, int(signal.SIGKILL))
+        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def end_children() -> None:

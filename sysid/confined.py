@@ -8,6 +8,7 @@ With scratch files (:mod:`sysid.scratch`) large arrays return in one that the pr
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import faulthandler
 import json
 import os
@@ -26,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid import errors, scratch
-from sysid.children import die_with_parent
 from sysid.errors import InputError, SysidError
 from sysid.scratch import Scratch, ScratchSegment
 
@@ -38,6 +38,7 @@ _RESERVED = 256 * 2**20
 _WAITING = 40.0
 #: A message: its kind (progress, result, error) and the length of its text.
 _HEAD = struct.Struct("<cQ")
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 _DAMAGED = "The file is damaged or malicious."
 _inside = False
 
@@ -161,7 +162,8 @@ def _confine(limits: Limits) -> None:
     _inside = True
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)  # the parent ends it
-    die_with_parent()
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, int(signal.SIGKILL))
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(nowhere, stream)

@@ -23,6 +23,7 @@ from sysid.world.urdf import (
     chained,
     complete_inertia,
     drop_meshes,
+    effort_limit,
     inertial_of,
     joint_element,
     link_element,
@@ -72,9 +73,10 @@ class HangingTool:
 
 @dataclass(frozen=True)
 class WorldUrdf:
-    """A URDF for the world, the tool, and the height of the ground [m]."""
+    """A URDF for the world, effort limits of the driven joints [N or N·m], the tool, and the height of the ground [m]."""
 
     urdf: str
+    effort: tuple[float, ...]
     hanging: HangingTool | None
     ground: float
 
@@ -101,6 +103,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
         machine = replace(machine, tool=_TOOL, urdf_text=tostring(root, encoding="unicode"))
         kinematics = machine.kinematics()
         assert kinematics is not None
+    effort = tuple(effort_limit(root, name) for name in kinematics.actuated)
     drop_meshes(root)
     _stretch(root, plant, kinematics)
     _shift_tip(root, plant, kinematics)
@@ -117,7 +120,7 @@ def build_bodies(plant: Plant, gripper: Gripper = "rigid") -> WorldUrdf:
             remove_below(root, kinematics.tip)
     for link in root.findall("link"):
         complete_inertia(link, _STRUCTURE_MASS, _STRUCTURE_MASS)
-    return WorldUrdf(tostring(root, encoding="unicode"), hanging, _lowest(root, kinematics))
+    return WorldUrdf(tostring(root, encoding="unicode"), effort, hanging, _lowest(root, kinematics))
 
 
 def _hang(

@@ -35,14 +35,17 @@ def pybullet() -> Any:
         ) from None
 
 
-def connect() -> int:
+def connect(window: bool) -> int:
     """A new client.
 
     Raises:
-        SettingsError: no further client available.
+        SettingsError: a window without a display, or no further client available.
     """
     p = pybullet()
-    client = int(p.connect(p.DIRECT))
+    if window and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        # Without a display PyBullet would end the whole process.
+        raise SettingsError("PyBullet world", "no display for a window", "DISPLAY", "Leave `window` out and take pictures.")
+    client = int(p.connect(p.GUI if window else p.DIRECT))
     if client < 0:
         raise SettingsError("PyBullet world", "no further client", "worlds that are closed", "Use `with World(…) as world:`.")
     return client

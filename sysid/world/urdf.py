@@ -101,6 +101,11 @@ def numbers(text: str) -> list[float]:
     return [float(word) for word in text.split()]
 
 
+def effort_limit(root: Element, joint: str) -> float:
+    limit = joint_element(root, joint).find("limit")
+    return float(limit.get("effort", "inf")) if limit is not None else float("inf")
+
+
 def unlimit(joint: Element) -> None:
     """Remove end stops and damping, which the compiled chain contains."""
     for tag in ("limit", "dynamics", "mimic", "safety_controller"):

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, get_args
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -78,7 +78,9 @@ def add_log(p: Any, client: int, log: Log) -> int:
     return int(body)
 
 
-#: Largest force of a drive, which moves whatever obstructs it [N or N·m].
+Mode = Literal["kinematic", "dynamic"]
+
+#: Force of a drive without limit [N or N·m].
 _UNLIMITED = 1e9
 #: Direction of the camera: about the vertical, and from above [rad].
 _CAMERA = (0.7, -0.45)
@@ -107,12 +109,15 @@ class World:
         plant: any plant version whose machine has a URDF and whose axes all have a linkage or drive their joint.
         rate_hz: steps per second; default: the machine's.
         substeps: of the rigid bodies per step.
+        mode: ``kinematic``: the driven joints follow the chain exactly, whatever obstructs them;
+            ``dynamic``: the drives are limited to the effort limits of the URDF.
         gripper: ``rigid`` with the URDF's masses and inertias, ``point`` with all mass in the tool's origin.
         logs: loose bodies.
         ground: height of the ground in the machine's frame [m]; default: under the first link.
+        window: show PyBullet's own window.
 
     Raises:
-        SettingsError: PyBullet is missing, the machine has no URDF, a linkage is missing.
+        SettingsError: PyBullet is missing, the machine has no URDF, a linkage is missing, an unknown mode.
     """
 
     def __init__(
@@ -121,15 +126,18 @@ class World:
         rate_hz: float | None = None,
         *,
         substeps: int = 4,
+        mode: Mode = "kinematic",
         gripper: Gripper = "rigid",
         logs: tuple[Log, ...] = (),
         ground: float | None = None,
+        window: bool = False,
     ) -> None:
-        if gripper not in get_args(Gripper):
-            raise SettingsError("PyBullet world", f"gripper = {gripper!r}", nearest(gripper, get_args(Gripper)))
+        for name, value, valid in (("mode", mode, ("kinematic", "dynamic")), ("gripper", gripper, ("rigid", "point"))):
+            if value not in valid:
+                raise SettingsError("PyBullet world", f"{name} = {value!r}", nearest(value, valid))
         if substeps < 1:
             raise SettingsError("PyBullet world", f"substeps = {substeps}", "at least 1")
-        self.plant, self.substeps, self.logs = plant, substeps, logs
+        self.plant, self.substeps, self.mode, self.logs = plant, substeps, mode, logs
         self.rate_hz = rate_hz or plant.machine.rate_hz
         self._bodies = build_bodies(plant, gripper)
         for axis in plant.machine.axes:
@@ -138,7 +146,7 @@ class World:
         self._stepper = Stepper(plant, self.rate_hz)
         self._ground = self._bodies.ground if ground is None else ground
         self._p = pybullet()
-        self._client = connect()
+        self._client = connect(window)
         self._folder = tempfile.TemporaryDirectory(prefix="sysid-world-")
         self._finish = weakref.finalize(self, _close, self._client, self._folder)
         (Path(self._folder.name) / "machine.urdf").write_text(self._bodies.urdf, "utf-8")
@@ -301,6 +309,7 @@ class World:
         self._tip = link_of[machine.tip or ""]
         self._links = link_of
         self._root: str = p.getBodyInfo(self._machine, physicsClientId=client)[0].decode()
+        self._force = [_UNLIMITED if self.mode == "kinematic" else min(e, _UNLIMITED) for e in self._bodies.effort]
         self._passive: list[int] = []
         self._tool: int | None = None
         if self._bodies.hanging is not None:
@@ -344,19 +353,20 @@ class World:
     def _drive_to(self, target: Array) -> None:
         """Advance by one step while the driven joints move linearly to ``target``."""
         p, client, machine = self._p, self._client, self._machine
-        joints = [*self._driven, *self._followers]
+        joints, forces = [*self._driven, *self._followers], [*self._force, *(_UNLIMITED for _ in self._followers)]
         begin, end, parts = self._with_passive(self._target), self._with_passive(target), self.substeps
         slope = (end - begin) * self.rate_hz
         for part in range(parts):
             # Feed-forward speed plus position error.
             p.setJointMotorControlArray(
                 machine, joints, p.POSITION_CONTROL, targetPositions=list(begin + (end - begin) * part / parts),
-                targetVelocities=list(slope), forces=[_UNLIMITED] * len(joints), positionGains=[1.0] * len(slope),
+                targetVelocities=list(slope), forces=forces, positionGains=[1.0] * len(slope),
                 velocityGains=[1.0] * len(slope), physicsClientId=client,
             )  # fmt: skip
             p.stepSimulation(physicsClientId=client)
-        for joint, value, speed in zip(joints, end, slope, strict=True):
-            p.resetJointState(machine, joint, float(value), float(speed), physicsClientId=client)
+        if self.mode == "kinematic":
+            for joint, value, speed in zip(joints, end, slope, strict=True):
+                p.resetJointState(machine, joint, float(value), float(speed), physicsClientId=client)
         self._target = target
 
     def _with_passive(self, target: Array) -> Array:

@@ -211,6 +211,21 @@ def test_without_sway_nothing_hangs_and_the_tool_is_the_tip() -> None:
         assert "gripper" not in build_bodies(world.plant).urdf
 
 
+def test_dynamic_drives_are_as_strong_as_the_urdf_says() -> None:
+    plant = crane(SWAY)
+    source = driven(plant, 4.0)
+    run = free_run(plant, source)
+    joints = [f"{name}.joint" for name in plant.machine.axis_names]
+    with World(plant, ground=FREE, mode="dynamic") as world:
+        assert worst(world.rollout(source), run, joints) < 1e-4
+    weak = replace(plant.machine, urdf_text=(plant.machine.urdf_text or "").replace('effort="120"', 'effort="12"'))
+    with World(replace(plant, machine=weak), ground=FREE, mode="dynamic") as world:
+        assert world.reset(START).joints[1] == pytest.approx(START[1], abs=1e-5)
+        for _ in range(50):
+            state = world.step(np.zeros(4))
+    assert state.joints[1] < START[1] - 0.1, "12 N·m do not hold the boom"
+
+
 def test_the_gripper_meets_the_ground_and_pushes_a_log() -> None:
     plant = crane(SWAY)
     with World(plant, ground=-0.06, logs=(Log((0.9, 0.0, -0.03)),)) as world:
@@ -312,10 +327,10 @@ def test_clients_and_temporary_files_are_released(tmp_path: Path, monkeypatch: p
         _ = 1 / 0
 
 
-def test_mistakes_say_what_was_expected() -> None:
+def test_mistakes_say_what_was_expected(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = crane()
-    with pytest.raises(SettingsError, match=r"gripper = 'rigd'; expected 'rigid'\?"):
-        World(plant, gripper="rigd")  # type: ignore[arg-type]
+    with pytest.raises(SettingsError, match=r"mode = 'kinematc'; expected 'kinematic'\?"):
+        World(plant, mode="kinematc")  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="substeps = 0; expected at least 1"):
         World(plant, substeps=0)
     with pytest.raises(SettingsError, match=r"axis boom has no linkage; expected geometry in machine\.toml or a fitted"):
@@ -336,6 +351,10 @@ def test_mistakes_say_what_was_expected() -> None:
             world.step(np.zeros(4))
         with pytest.raises(SettingsError, match=r"recording waves: 50\.0 Hz; expected 100\.0 Hz, as the world"):
             world.rollout(replace(driven(plant, 1.0), rate_hz=50.0))
+    monkeypatch.delenv("DISPLAY", raising=False)
+    if sys.platform == "linux":
+        with pytest.raises(SettingsError, match="no display for a window; expected DISPLAY"):
+            World(plant, window=True)
 
 
 def test_a_mass_without_inertia_gets_one() -> None:

@@ -46,7 +46,7 @@ class World:
 def run_bullet(tables: Tables, take: Take) -> pd.DataFrame:
     """``time`` and the true signals of the machine on the controller's grid."""
     ticks, before, substeps = counts(tables, take)
-    client = connect()
+    client = connect(window=False)
     try:
         world = World(pybullet(), client)
         world.setTimeStep(tables["step"])
