@@ -10,12 +10,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid import scratch
 from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
 from sysid.datasets.checks.flag import ends_of, repaired_stamps, sentinels
-from sysid.datasets.chunked import masked
+from sysid.datasets.chunked import Array, masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
 from sysid.datasets.frames.bodies import MissingFrames, find_mounts, joints_and_points
@@ -34,9 +33,9 @@ from sysid.progress import Progress, part, silent
 from sysid.units import split_header
 
 #: (recording, key of the recipe's entry) → body → its mount on its link.
-Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
+Mounts = Mapping[tuple[str, str], Mapping[str, Array]]
 #: Key of the recipe's entry → body → its poses on its link, (4, 4) each.
-ReferencePoses = Mapping[str, Mapping[str, Sequence[npt.NDArray[np.float64]]]]
+ReferencePoses = Mapping[str, Mapping[str, Sequence[Array]]]
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine, recipe_plac
         InputError: a body is not visible, or moves, in the reference pose; of all such files at once.
         SettingsError: no reference, or it names a missing recording.
     """
-    own: dict[tuple[str, str], Mapping[str, Sequence[npt.NDArray[np.float64]]]] = {}
+    own: dict[tuple[str, str], Mapping[str, Sequence[Array]]] = {}
     refused: dict[str, InputError] = {}
     for files in found:
         poses, errors = reference_poses(files, machine)
@@ -76,7 +75,7 @@ def reference_poses(files: RecordingFiles, machine: Machine) -> tuple[ReferenceP
 
     Also ``recording/file`` → why there is none: a file that cannot be read, a body that is not visible or moves.
     """
-    found: dict[str, dict[str, list[npt.NDArray[np.float64]]]] = {}
+    found: dict[str, dict[str, list[Array]]] = {}
     refused: dict[str, InputError] = {}
     for path, mapping in files.streams:
         if mapping is None or not mapping.bodies:
@@ -91,9 +90,7 @@ def reference_poses(files: RecordingFiles, machine: Machine) -> tuple[ReferenceP
     return found, refused
 
 
-def combined_mounts(
-    found: Sequence[RecordingFiles], own: Mapping[tuple[str, str], Mapping[str, Sequence[npt.NDArray[np.float64]]]]
-) -> Mounts:
+def combined_mounts(found: Sequence[RecordingFiles], own: Mapping[tuple[str, str], Mapping[str, Sequence[Array]]]) -> Mounts:
     """Mounts for each recording: of its own reference pose, or the mean of all where they share one.
 
     Args:
@@ -103,7 +100,7 @@ def combined_mounts(
         SettingsError: a reference names a missing recording.
     """
     with_bodies = [(files.name, m) for files in found for _, m in files.streams if m is not None and m.bodies]
-    mounts: dict[tuple[str, str], dict[str, npt.NDArray[np.float64]]] = {}
+    mounts: dict[tuple[str, str], dict[str, Array]] = {}
     for name, mapping in with_bodies:
         shared = mapping.reference is not None and mapping.reference.recording is not None
         sources = [m for (_, files), m in own.items() if files == mapping.key] if shared else [own[name, mapping.key]]
@@ -221,7 +218,7 @@ def _captured(
     streams: Sequence[Stream],
     mapping: StreamMap,
     machine: Machine,
-    mounts: Mapping[str, npt.NDArray[np.float64]],
+    mounts: Mapping[str, Array],
 ) -> tuple[list[Channel], tuple[MissingFrames, ...]]:
     """Joints and points from the rigid bodies of an export."""
     signals, dropped = joints_and_points(streams, mapping, mounts, machine)

@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 Values = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
+Stamps = npt.NDArray[np.int64]
 
 
 #: Number of rows and (first, last + 1) → their values without NaN, as many as there are; of one signal or of several.

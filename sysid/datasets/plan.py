@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording
+from sysid.datasets.chunked import Array
 from sysid.datasets.discover import RecordingFiles, all_files, left_out, sha256, unmatched
 from sysid.datasets.recipe import IngestRecipe, Splits, StreamMap, check_against_machine, load_recipe
 from sysid.datasets.recording import Recording, Source
@@ -24,8 +24,6 @@ from sysid.logs import reader_for
 from sysid.logs.time_unit import NEAR, SECONDS
 from sysid.machine import Axis, Machine, load_machine
 from sysid.signals import axis_signal
-
-Array = npt.NDArray[np.float64]
 
 #: Part of every digest; to be increased when the same logs give another table.
 INGEST_VERSION = 6

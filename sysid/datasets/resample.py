@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.chunked import copied, sosfiltfilt_in_place, stretches
+from sysid.datasets.chunked import Array, copied, sosfiltfilt_in_place, stretches
 from sysid.scratch import PIECE, chosen, computed, filled, leave
-
-Array = npt.NDArray[np.float64]
 
 #: A gap is longer than this many sample periods of its source where the recipe gives no limit.
 GAP_PERIODS = 3.0

@@ -16,11 +16,11 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import Array
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.motion_fit import FitSums
 from sysid.datasets.recording import ClockRecord
 
-Array = npt.NDArray[np.float64]
 Time = TypeVar("Time", float, Array)
 
 #: Length over which residuals may be correlated [s].

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import Array, Mask
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.measured_motion import directions, range_of, without_noise
 from sysid.datasets.resample import slopes
 from sysid.scratch import chosen
-
-Array = npt.NDArray[np.float64]
 
 #: Samples that are processed at a time, so that their data stay in the cache of a core.
 CHUNK = 8192
@@ -43,8 +42,8 @@ class PreparedPair:
     degree: int
     x_gap_s: float
     direction: Array
-    settled: npt.NDArray[np.bool_]
-    y_settled: npt.NDArray[np.bool_]
+    settled: Mask
+    y_settled: Mask
 
     @property
     def branches(self) -> int:
@@ -63,7 +62,7 @@ def prepared(pair: Pair) -> PreparedPair:
     return PreparedPair(times, values, rates, pair.y_times, pair.y, pair.degree, pair.x_gap_s, direction, settled, y_settled)
 
 
-def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, Mask, Mask]:
     """Direction of x (n,), and the samples of x and of y with the backlash taken up; either signal may be behind it.
 
     Samples at rest are not used: they carry no information about the offset, and a motion back may be hidden in their noise.
@@ -309,7 +308,7 @@ class PairFit:
             elif known.any():
                 yield times[known], y[known], x[known], rate[known], direction[known]
 
-    def _x(self, at: Array) -> tuple[Array, Array, npt.NDArray[np.bool_], Array]:
+    def _x(self, at: Array) -> tuple[Array, Array, Mask, Array]:
         """Cubic Hermite interpolation of x: values, rates, mask of known and settled samples, and directions."""
         p = self.pair
         right = np.searchsorted(p.x_times, at, side="right")

@@ -13,13 +13,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.clocks.alignment import BLOCK_S, Blocks, Estimate, Pair, continues, estimate
 from sysid.datasets.clocks.measured_motion import moves, smoothed
 from sysid.datasets.clocks.motion_fit import PairFit, prepared
-
-Array = npt.NDArray[np.float64]
 
 #: Least number of blocks on either side of a step.
 MIN_BLOCKS = 4

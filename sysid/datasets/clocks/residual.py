@@ -10,18 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import stored_channels
+from sysid.datasets.chunked import Array
 from sysid.datasets.clocks.alignment import BLOCK_S, Estimate, pairs_of, with_backlash_found
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.estimate import summed_blocks
 from sysid.datasets.clocks.measured_motion import moves, smoothed
 from sysid.datasets.clocks.motion_fit import FitSums, PairFit, prepared
 from sysid.datasets.recording import ClockRecord
-
-Array = npt.NDArray[np.float64]
 
 #: Blocks with less than this share of the median block's weight are omitted.
 LEAST_WEIGHT = 0.05

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.checks.measures import LEAST_STRENGTH
+from sysid.datasets.chunked import Array
 from sysid.datasets.drafting.axis_values import Characteristic, characteristic, moved_mass
 from sysid.datasets.drafting.fields import MAX_SECONDS, Answers, Field, Question
 from sysid.datasets.quality.responses import MAX_DELAY_S, correlation, speed
@@ -21,8 +21,6 @@ from sysid.machine.description import RESERVED
 from sysid.names import listed, slug
 from sysid.numbers import Positive, number
 from sysid.units import si_factor
-
-Array = npt.NDArray[np.float64]
 
 #: Rate at which columns are compared [Hz].
 RATE_HZ = 20.0

@@ -17,10 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
-Array = npt.NDArray[np.float64]
+from sysid.datasets.chunked import Array, Rows
 
 #: Window of the way, and step from one to the next [s].
 WINDOW_S, STEP_S = 0.4, 0.1
@@ -125,7 +124,7 @@ def _best_delay(windows: Sequence[_Windows], lag: float, near: float) -> tuple[f
 class _Windows:
     """Windows of one recording: first rows (m,), the way in each (m,), and the hats of the knots at each row (n, k)."""
 
-    first: npt.NDArray[np.intp]
+    first: Rows
     way: Array
     hats: Array
     rows: int

@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import RowCounts, counts_of, in_order, seconds
 from sysid.datasets.checks.flag import Flag
-from sysid.datasets.chunked import stretches
+from sysid.datasets.chunked import Array, Mask, Stamps, stretches
 from sysid.datasets.frames.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
 from sysid.datasets.recipe import Reference, StreamMap
 from sysid.datasets.resample import GAP_PERIODS
@@ -25,9 +24,6 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Kinematics, Machine
 from sysid.machine.kinematics import Joint
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 #: Largest speed [m/s] and acceleration [m/s²] of a point of the machine; a body beyond them was confused with another.
 MAX_SPEED, MAX_ACCELERATION = 3.0, 20.0
@@ -80,7 +76,7 @@ def without_mistakes(
     return result, tuple(flags)
 
 
-def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
+def _plausible(positions: Array, seconds: Array) -> Mask:
     """Mask of the frames on the longest chain of runs with feasible jumps between them, (n,)."""
     if len(positions) < 2:
         return np.ones(len(positions), dtype=bool)
@@ -105,7 +101,7 @@ def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
     return keep
 
 
-def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
+def _jumps(positions: Array, seconds: Array) -> Mask:
     """Mask of the steps between neighbours that a machine cannot make, (n − 1,).
 
     Too far for their time; or, between frames without a gap, different from the step before and the step after by more than
@@ -122,7 +118,7 @@ def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
     return np.asarray(too_fast | sudden)
 
 
-def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[MissingFrames]:
+def _dropped(body: str, reason: str, bad: Mask, seconds: Array) -> list[MissingFrames]:
     return [
         MissingFrames(body, reason, float(seconds[first]), float(seconds[last - 1]), int(last - first))
         for first, last in zip(*stretches(bad), strict=True)

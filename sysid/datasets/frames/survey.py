@@ -8,10 +8,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import in_order, seconds
 from sysid.datasets.channels import read_streams
+from sysid.datasets.chunked import Array, Mask
 from sysid.datasets.frames.base_frame import FrameProposal, from_markers, from_turn
 from sysid.datasets.frames.bodies import STILL
 from sysid.datasets.frames.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
@@ -19,8 +19,6 @@ from sysid.datasets.recipe import FramePose, IngestRecipe, StreamMap, Survey
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
-
-Array = npt.NDArray[np.float64]
 
 #: Distance of points from the origin of a rigid body by which its rotation is used [m]: about the size of a machine's links.
 LEVER = 0.5
@@ -115,7 +113,7 @@ def _levers(name: str, places: Array, stream: Stream, mapping: StreamMap, survey
     }
 
 
-def _within(at: Array, survey: Survey) -> npt.NDArray[np.bool_]:
+def _within(at: Array, survey: Survey) -> Mask:
     if survey.seconds is None:
         return np.ones(len(at), dtype=bool)
     return np.asarray((at >= survey.seconds[0]) & (at <= survey.seconds[1]))

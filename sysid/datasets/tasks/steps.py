@@ -14,14 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, ReferencePoses, concatenate, joined, read_channels, reference_poses
 from sysid.datasets.checks.run import flag_rows
 from sysid.datasets.checks.streams import likely_unit
-from sysid.datasets.chunked import median_step
+from sysid.datasets.chunked import Array, median_step
 from sysid.datasets.clocks.estimate import Skew
 from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times, pieces_of, records_of
 from sysid.datasets.clocks.resets import Piece
@@ -67,7 +66,7 @@ def aligned_recording(
     signals = {name: concatenate(parts) for name, parts in joined(recording.channels, where).items()}
     signals = {name: signals[name] for name in machine.signals if name in signals}
 
-    def times_of(channel: Channel) -> npt.NDArray[np.float64]:
+    def times_of(channel: Channel) -> Array:
         return machine_times(channel, start, records.get(channel.source))
 
     report(0.0, f"resampling {recording.name}")

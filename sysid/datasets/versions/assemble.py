@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.datasets.chunked import Array
 from sysid.datasets.recording import Dataset, Recording, Source
 from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.errors import StoreError
@@ -71,7 +72,7 @@ class _Columns:
         self._unordered: list[npt.NDArray[np.int64]] | None = None  # numbers of all rows, once one was not the next
         self._values = {name: GrowingArray(np.nan) for name in names}
 
-    def take(self, rows: npt.NDArray[np.int64], columns: Mapping[str, npt.NDArray[np.float64]]) -> None:
+    def take(self, rows: npt.NDArray[np.int64], columns: Mapping[str, Array]) -> None:
         """Values at ``rows``."""
         if self._unordered is None and not np.array_equal(rows, np.arange(self.found, self.found + len(rows))):
             self._unordered = [np.arange(self.found)]
@@ -82,7 +83,7 @@ class _Columns:
             values.expected = min(self._stated, TRUSTED * self.found)
             values.extend(columns[name])
 
-    def whole(self) -> dict[str, npt.NDArray[np.float64]] | None:
+    def whole(self) -> dict[str, Array] | None:
         """The columns in the order of the rows; None unless every row was there once."""
         columns = {name: values.whole(self.found) for name, values in self._values.items()}
         if self._unordered is None:
