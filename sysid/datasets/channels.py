@@ -166,7 +166,8 @@ def _read_file(
     streams = read_streams(path, mapping, progress=progress, expected_hz=machine.rate_hz, is_part=is_part)
     progress(1.0, f"reading {path.name}")
     if mapping is None:
-        streams = with_continued_stamps(streams, None, machine=not before or _have_commands(streams))
+        commands = any(column.endswith(".command") for stream in streams for column in stream.columns)
+        streams = with_continued_stamps(streams, None, machine=not before or commands)
     said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
     said += _mixed_clocks(streams) if mapping is not None and mapping.clock is None else ()
     absent = _absent(streams, mapping) if mapping is not None and is_part else {}
@@ -176,7 +177,7 @@ def _read_file(
     said += [text for _, text in own if text]
     if mapping is None or not (mapping.bodies or mapping.points):
         return channels, said, ()
-    captured, dropped = _captured(path, streams, mapping, machine, mounts.get((recording, mapping.key), {}))
+    captured, dropped = joints_and_points(streams, mapping, mounts.get((recording, mapping.key), {}), machine)
     return channels + captured, said, dropped
 
 
@@ -211,34 +212,6 @@ def _check_parts(files: RecordingFiles, channels: Sequence[Channel]) -> None:
                 raise InputError(
                     f"{files.name}: {signal}", absent, f"as in {path.name}", "Correct `topic` and `field` in the recipe."
                 )
-
-
-def _captured(
-    path: Path,
-    streams: Sequence[Stream],
-    mapping: StreamMap,
-    machine: Machine,
-    mounts: Mapping[str, Array],
-) -> tuple[list[Channel], tuple[MissingFrames, ...]]:
-    """Joints and points from the rigid bodies of an export."""
-    signals, dropped = joints_and_points(streams, mapping, mounts, machine)
-    channels = [
-        Channel(
-            signal=item.signal,
-            source=path.name,
-            domain=mapping.domain,
-            stamps=item.stamps,
-            values=item.values,
-            unit=machine.expected_unit(item.signal) or "m",
-            primary=item.signal not in mapping.secondary,
-            interpolation=mapping.interpolation,
-            max_gap_s=mapping.max_gap_s,
-            counts=replace(item.counts, empty=int(np.count_nonzero(np.isnan(item.values)))),
-            flags=item.flags,
-        )
-        for item in signals
-    ]
-    return channels, dropped
 
 
 def _shares(files: RecordingFiles) -> list[tuple[float, float]]:
@@ -400,10 +373,6 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
             scratch.leave()
     return channels
-
-
-def _have_commands(streams: Sequence[Stream]) -> bool:
-    return any(column.endswith(".command") for stream in streams for column in stream.columns)
 
 
 def _one_clock(channels: Sequence[Channel]) -> list[Channel]:

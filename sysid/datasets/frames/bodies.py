@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sysid.datasets.channel import RowCounts, counts_of, in_order, seconds
+from sysid.datasets.channel import Channel, RowCounts, counts_of, in_order, seconds
 from sysid.datasets.checks.flag import Flag
 from sysid.datasets.chunked import Array, Mask, Stamps, stretches
 from sysid.datasets.frames.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
@@ -139,17 +139,6 @@ class LinkPoses:
     flags: tuple[Flag, ...] = ()
 
 
-@dataclass(frozen=True)
-class CaptureSignal:
-    """A signal from motion capture, with the stamps of its body and what became of its frames."""
-
-    signal: str
-    stamps: Stamps
-    values: Array
-    counts: RowCounts
-    flags: tuple[Flag, ...]
-
-
 def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> dict[str, list[Array]]:
     """Body → its mount ``T_link_body`` (as a list, so that several recordings can be averaged), from the reference pose.
 
@@ -213,8 +202,8 @@ def _origin(streams: Sequence[Stream], mapping: StreamMap) -> int:
 
 def joints_and_points(
     streams: Sequence[Stream], mapping: StreamMap, mounts: Mapping[str, Array], machine: Machine
-) -> tuple[list[CaptureSignal], tuple[MissingFrames, ...]]:
-    """The signals of tracked bodies and markers, and the dropped frames.
+) -> tuple[list[Channel], tuple[MissingFrames, ...]]:
+    """The channels of tracked bodies and markers of one file, with the stamps of their bodies, and the dropped frames.
 
     Bodies of one export share their stamps. Where they do not (topics of a bag), the poses of the one with more samples are
     interpolated to the instants of the other before the joint between them is computed.
@@ -240,7 +229,25 @@ def joints_and_points(
             )
             swaps = tuple(_swap(item, (int(stamps[0]) - origin) * 1e-9) for item in dropped[name])
             tracks[name] = LinkPoses(stamps, cleaned, counts, swaps)
-    signals = []
+    channels = []
+
+    def add(signal: str, stamps: Stamps, values: Array, counts: RowCounts, flags: Sequence[Flag]) -> None:
+        channels.append(
+            Channel(
+                signal=signal,
+                source=streams[0].source.name,
+                domain=mapping.domain,
+                stamps=stamps,
+                values=values,
+                unit=machine.expected_unit(signal) or "m",
+                primary=signal not in mapping.secondary,
+                interpolation=mapping.interpolation,
+                max_gap_s=mapping.max_gap_s,
+                counts=replace(counts, empty=int(np.count_nonzero(np.isnan(values)))),
+                flags=tuple(replace(flag, signal=signal) for flag in flags),
+            )
+        )
+
     kinematics = machine.kinematics()
     if kinematics is not None and mapping.bodies:
         links = {link: _moved(tracks[body], inverse(mounts[body])) for body, link in mapping.bodies.items()}
@@ -251,20 +258,14 @@ def joints_and_points(
                 both = _together(parent, child, mapping.max_gap_s)
                 if both is not None:
                     stamps, upper, lower, counts, flags = both
-                    values = _joint_values(joint, upper, lower)
-                    signals.append(_signal(f"{axis.name}.joint", stamps, values, counts, flags))
+                    add(f"{axis.name}.joint", stamps, _joint_values(joint, upper, lower), counts, flags)
     for point, entry in mapping.points.items():
         track = tracks[entry.body or entry.marker or ""]
         places = track.poses @ np.array([*entry.at, 1.0])
         for index, axis_name in enumerate("xyz"):
             if track.stamps is not None:
-                name = f"{point}.{axis_name}"
-                signals.append(_signal(name, track.stamps, places[:, index], track.counts, track.flags))
-    return signals, tuple(item for group in dropped.values() for item in group)
-
-
-def _signal(signal: str, stamps: Stamps, values: Array, counts: RowCounts, flags: Sequence[Flag]) -> CaptureSignal:
-    return CaptureSignal(signal, stamps, values, counts, tuple(replace(flag, signal=signal) for flag in flags))
+                add(f"{point}.{axis_name}", track.stamps, places[:, index], track.counts, track.flags)
+    return channels, tuple(item for group in dropped.values() for item in group)
 
 
 def _swap(item: MissingFrames, late_s: float) -> Flag:
