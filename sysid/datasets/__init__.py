@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sysid.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from sysid.datasets.clock_record import ClockRecord
+    from sysid.datasets.clocks import ClockRecord
     from sysid.datasets.ingestion import ingest
     from sysid.datasets.recording import Dataset, Kind, Recording, Role, Source
     from sysid.datasets.versions.append import append
@@ -45,7 +45,7 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "clock_record": ["ClockRecord"],
+        "clocks": ["ClockRecord"],
         "ingestion": ["ingest"],
         "recording": ["Dataset", "Kind", "Recording", "Role", "Source"],
         "versions.append": ["append"],

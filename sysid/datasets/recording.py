@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sysid.datasets.chunked import Array
-from sysid.datasets.clock_record import ClockRecord as ClockRecord
+from sysid.datasets.clocks import ClockRecord as ClockRecord
 from sysid.errors import InputError, StoreError, nearest
 from sysid.machine import Machine
 

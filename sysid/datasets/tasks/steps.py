@@ -33,14 +33,14 @@ from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Kind, Recording
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import rows_of
-from sysid.datasets.versions.files import UNCHANGED, Files, explained, scratch_folder
+from sysid.datasets.versions.files import UNCHANGED, Files, explained, working_on
 from sysid.datasets.versions.store import Store
 from sysid.datasets.versions.tables import Columns, clock_entries, read_channel_file, write_channel_file, write_sample_file
 from sysid.errors import AlignmentError, InputError
 from sysid.files import plain
 from sysid.machine import Machine
 from sysid.progress import Progress, silent
-from sysid.scratch import leave, scratch_in
+from sysid.scratch import leave
 
 #: Limit of rows on the grid, beyond which stamps are wrong (a day at 1 kHz has 86 million).
 MAX_ROWS = 10**8
@@ -208,7 +208,6 @@ def align_recording(
         read: result of :func:`read_recording`.
         skews: clock domain → its skew; None: each recording has its own.
     """
-    rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     with _prepared(location) as store:
         reading = _stored(store, folder, number, read)
         recording = RecordingClocks(name, kind, reading.channels)
@@ -216,8 +215,8 @@ def align_recording(
             records = records_of(recording, read.pieces, skews)
         except AlignmentError as error:
             return AlignResult(refused=error)
-        table = aligned_recording(recording, by_source(records, name), plan.machine, rules, silent)
-        flags = flag_rows(recording, records, plan.machine, rules.hold_s)
+        table = aligned_recording(recording, by_source(records, name), plan.machine, plan.rules, silent)
+        flags = flag_rows(recording, records, plan.machine, plan.rules.hold_s)
         with explained(location, UNCHANGED):
             _write_table(store, _table_path(folder, number), table.table)
         return AlignResult(tuple(records), tuple(flags), tuple(stream_signals(recording)), table.start_ns)
@@ -292,8 +291,6 @@ def _stored(files: Files, folder: str, number: int, read: ReadResult) -> ReadRec
 
 @contextmanager
 def _prepared(location: str) -> Iterator[Files]:
-    """The files of the workspace; large arrays lie in a scratch file, and numerical libraries use one thread."""
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    with threadpool_limits(limits=1), scratch_in(scratch_folder(location)):
+    """The files of the workspace, in a process that works on it."""
+    with working_on(location):
         yield Store(location).files

@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, ClassVar, cast
 
 from sysid.errors import StorageError, StoreError
 from sysid.root import Root
+from sysid.scratch import scratch_in
 
 #: State of the store after a failed write, for the message of :func:`explained`.
 UNCHANGED = "no version was made, existing ones are complete"
@@ -37,6 +38,15 @@ class OvertakenError(StoreError):
 def scratch_folder(workspace: str | Path) -> Path:
     """Folder of scratch files for ``workspace``: the workspace itself if local, so that they are on the same disk."""
     return Path(tempfile.gettempdir()) if "://" in str(workspace) else Path(workspace)
+
+
+@contextmanager
+def working_on(workspace: str | Path) -> Iterator[None]:
+    """Large arrays lie in scratch files of ``workspace``; one thread, since for thousands of small systems more are slower."""
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
+        yield
 
 
 @contextmanager

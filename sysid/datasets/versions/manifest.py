@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
-from sysid.datasets.clock_record import ClockRecord
+from sysid.datasets.clocks import ClockRecord
 from sysid.datasets.versions.manifest_shape import check_shape
 from sysid.errors import SettingsError, StoreError
 from sysid.extras import versions_of
