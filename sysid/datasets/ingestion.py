@@ -97,16 +97,14 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
     if executor is not None:
         with store.new_part(title, digest) as folder, executor.kept() as kept:
             tasks = TaskIngest(kept, store)
-            mounts = tasks.survey(found, plan, report)
-            written = tasks.written(found, plan, mounts, rules.splits, divide, folder, report)
-            saved = store.save_written(written.named(title, digest, sources), written.part)
-        report(1.0, f"stored {saved.reference}")
-        return saved
-
-    ingested = read_and_align(found, plan, survey_mounts(found, description, plan.recipe_place), report)
-    parts, roles = divide(ingested.recordings)
-    dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
-    saved = store.save(dataset, ingested.channels, ingested.made, part(report, *STORED))
+            written = tasks.written(found, plan, tasks.survey(found, plan, report), divide, folder, report)
+            number = store.publish(written.named(title, digest, sources), written.part)
+        saved = store.load(f"{title}@{number}")
+    else:
+        ingested = read_and_align(found, plan, survey_mounts(found, description, plan.recipe_place), report)
+        parts, roles = divide(ingested.recordings)
+        dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
+        saved = store.save(dataset, ingested.channels, ingested.made, part(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 

@@ -12,7 +12,6 @@ from sysid.datasets.clocks.records import KnownSkew, skews_of
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
 from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of, with_joint_units
 from sysid.datasets.quality.use import scales_of
-from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes
 from sysid.datasets.tasks.steps import (
@@ -79,7 +78,6 @@ class TaskIngest:
         found: Sequence[RecordingFiles],
         plan: Plan,
         mounts: Mounts,
-        splits: Splits,
         divide: Split,
         folder: str,
         report: Progress,
@@ -88,7 +86,6 @@ class TaskIngest:
         """Read, align and describe the recordings ``found``, with their tables in ``folder``.
 
         Args:
-            splits: of the recipe, for the recordings that have to be there.
             skews: known skews of the clocks, from other recordings.
         """
         place = self.location, folder
@@ -106,7 +103,7 @@ class TaskIngest:
         ]
         aligned: list[AlignResult] = self.executor.run(align_recording, calls, part(report, *_ALIGNED))
         refused = {files.name: own.refused for files, own in zip(found, aligned, strict=True) if own.refused is not None}
-        names = placed([files.name for files in found], refused, splits)
+        names = placed([files.name for files in found], refused, plan.rules.splits)
         kept = [k for k, files in enumerate(found) if files.name in names]
         tables = [
             stored_table(self.store.files, folder, k, plan, found[k].name, found[k].kind, aligned[k].start_ns) for k in kept

@@ -112,24 +112,23 @@ def _append(
     def divide(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], dict[str, Role]]:
         return split(recordings, roles_of(recordings, plan.rules.splits, role), plan.where)
 
+    newest = "@" not in to
     if executor is not None:
         with store.new_part(name, digest) as folder, executor.kept() as kept:
             tasks = TaskIngest(kept, store)
             mounts = mounts_of(found, base, lambda open_files: tasks.survey(open_files, plan, report))
-            written = tasks.written(found, plan, mounts, plan.rules.splits, divide, folder, report, skews)
+            written = tasks.written(found, plan, mounts, divide, folder, report, skews)
             addition = checked_addition(written.named(name, digest, sources), base, plan)
-            saved = store.append_written(reference, addition, written.part, "@" not in to)
-        report(1.0, f"stored {saved.reference}")
-        return saved
-
-    mounts = mounts_of(found, base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
-    ingested = read_and_align(found, plan, mounts, report, skews)
-    parts, roles = divide(ingested.recordings)
-    addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
-    addition = checked_addition(addition, base, plan)
-    saved = store.append(reference, addition, ingested.channels, ingested.made, "@" not in to, stretch(report, *STORED))
-    report(1.0, f"stored {saved.reference}")
-    return saved
+            number = store.publish(addition, written.part, reference, newest)
+    else:
+        mounts = mounts_of(found, base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
+        ingested = read_and_align(found, plan, mounts, report, skews)
+        parts, roles = divide(ingested.recordings)
+        addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
+        addition = checked_addition(addition, base, plan)
+        number = store.append(reference, addition, ingested.channels, ingested.made, newest, stretch(report, *STORED))
+    report(1.0, f"stored {name}@{number}")
+    return store.load(f"{name}@{number}")
 
 
 def checked_addition(addition: Dataset, base: Manifest, plan: Plan) -> Dataset:

@@ -150,13 +150,14 @@ class LocalFiles(Root):
         return self.names(folder)
 
     @contextmanager
-    def lock(self, folder: str) -> Iterator[None]:
-        """One writer at a time."""
+    def lock(self, folder: str, state: str = "nothing was changed") -> Iterator[None]:
+        """One writer at a time; ``state``: as of :func:`explained`."""
         from filelock import FileLock, Timeout
 
         place = self.folder / folder
-        with explained(place, "nothing was changed"):
-            lock = FileLock(self.output(f"{folder}/{_LOCK}"), timeout=LOCK_WAIT_S)
+        with explained(place, state):
+            self.make(folder)
+            lock = FileLock(self.path(f"{folder}/{_LOCK}"), timeout=LOCK_WAIT_S)
             try:
                 lock.acquire()
             except Timeout:
@@ -355,7 +356,7 @@ class ObjectFiles:
             system.delete_file(place)
 
     @contextmanager
-    def lock(self, folder: str) -> Iterator[None]:
+    def lock(self, folder: str, state: str = "") -> Iterator[None]:
         """Does nothing: numbers are claimed instead, and vacuum keeps young tables."""
         yield
 

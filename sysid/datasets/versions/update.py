@@ -262,7 +262,7 @@ class _Pass:
         mounts: Mounts = {key: pose for own in parts for key, pose in own.mounts.items()}
         made = made_by([own.files for own in parts], self._plan, mounts)
         channels = {own.files.name: own.channels for own in parts}
-        self._store.extend(self._reference, addition, channels, made, True, progress, superseded)
+        self._store.append(self._reference, addition, channels, made, True, progress, superseded)
 
 
 def _united(streams: Iterable[Mapping[str, Sequence[str]]]) -> dict[str, tuple[str, ...]]:
