@@ -16,15 +16,13 @@ from sysid.datasets.plan import (
     Plan,
     command_rates,
     content_of,
+    ingested_dataset,
     made_by,
     notes_of,
     placed,
     plan_of,
     rate_notes,
     sources_of,
-    streams_of,
-    units_of,
-    with_joint_units,
 )
 from sysid.datasets.quality.describe import describe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
@@ -36,7 +34,6 @@ from sysid.datasets.versions.manifest import PartRecord, digest_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError
 from sysid.execution import Executor
-from sysid.machine import Machine
 from sysid.names import check_dataset_name
 from sysid.progress import Progress, part, silent
 
@@ -97,14 +94,15 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
     if executor is not None:
         with store.new_part(title, digest) as folder, executor.kept() as kept:
             tasks = TaskIngest(kept, store)
-            written = tasks.written(found, plan, tasks.survey(found, plan, report), divide, folder, report)
-            number = store.publish(written.named(title, digest, sources), written.part)
+            mounts = tasks.survey(found, plan, report)
+            dataset, entry = tasks.written(found, plan, mounts, sources, divide, folder, report)
+            number = store.publish(replace(dataset, name=title, digest=digest), entry)
         saved = store.load(f"{title}@{number}")
     else:
         ingested = read_and_align(found, plan, survey_mounts(found, description, plan.recipe_place), report)
         parts, roles = divide(ingested.recordings)
-        dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
-        saved = store.save(dataset, ingested.channels, ingested.made, part(report, *STORED))
+        dataset = ingested.dataset(plan, parts, roles, sources, part(report, *DESCRIBED))
+        saved = store.save(replace(dataset, name=title, digest=digest), ingested.channels, ingested.made, part(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 
@@ -127,35 +125,24 @@ class IngestPass:
 
     def dataset(
         self,
-        name: str,
-        digest: str,
-        machine: Machine,
+        plan: Plan,
         parts: Sequence[Recording],
         roles: Mapping[str, Role],
         sources: Sequence[Source],
         progress: Progress = silent,
     ) -> Dataset:
-        """The version to be stored, with recordings ``parts`` in ``roles``."""
-        units, assumed = with_joint_units(units_of(self.channels), machine)
-        parts = tuple(_with_units(part, units) for part in parts)
+        """The version to be stored, without name and digest, with recordings ``parts`` in ``roles``."""
         losses = {f"{name}/{file}": items for name, reading in self.readings.items() for file, items in reading.losses.items()}
-        return Dataset(
-            name=name,
-            version=0,
-            digest=digest,
-            machine=machine,
-            recordings=parts,
-            units=units,
-            splits=roles,
-            sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
-            clocks=self.clocks,
-            quality={
-                **describe(parts, self.readings, self.clocks, machine, progress),
-                "flags": list(self.flags),
-                "notes": [*self.notes, *assumed],
-            },
-            streams=streams_of([pair for recording in self.recording_clocks for pair in stream_signals(recording)], parts),
-        )
+        streams = [pair for recording in self.recording_clocks for pair in stream_signals(recording)]
+        dataset, assumed = ingested_dataset(plan, parts, roles, self.clocks, self.channels, streams, sources, losses)
+        for recording in parts:
+            recording.table.attrs["units"] = {str(column): dataset.units[str(column)] for column in recording.table.columns}
+        quality = {
+            **describe(parts, self.readings, self.clocks, plan.machine, progress),
+            "flags": list(self.flags),
+            "notes": [*self.notes, *assumed],
+        }
+        return replace(dataset, quality=quality)
 
 
 def read_and_align(
@@ -211,8 +198,3 @@ def read_and_align(
 def _share(report: Progress, step: tuple[float, float], number: int, count: int) -> Progress:
     """The progress of one of ``count`` recordings in a step."""
     return part(part(report, *step), number / count, (number + 1) / count)
-
-
-def _with_units(recording: Recording, units: Mapping[str, str]) -> Recording:
-    recording.table.attrs["units"] = {str(column): units[str(column)] for column in recording.table.columns}
-    return recording

@@ -5,7 +5,7 @@ which are kept, their units (also those that neither files nor recipe state), st
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from sysid.datasets.channels import Mounts, ReadRecording
 from sysid.datasets.chunked import Array
 from sysid.datasets.discover import RecordingFiles, all_files, left_out, sha256, unmatched
 from sysid.datasets.recipe import NO_RECIPE, IngestRecipe, Splits, StreamMap, check_against_machine, load_recipe
-from sysid.datasets.recording import Recording, Source
+from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import GAP_PERIODS
 from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import AlignmentError, InputError, SettingsError
@@ -189,6 +189,39 @@ def streams_of(pairs: Sequence[tuple[str, str]], tables: Sequence[Recording]) ->
         if signal in kept:
             found.setdefault(stream, {})[signal] = None
     return {stream: tuple(signals) for stream, signals in sorted(found.items())}
+
+
+def ingested_dataset(
+    plan: Plan,
+    parts: Sequence[Recording],
+    roles: Mapping[str, Role],
+    clocks: tuple[ClockRecord, ...],
+    channels: Mapping[str, Sequence[Channel]],
+    streams: Sequence[tuple[str, str]],
+    sources: Sequence[Source],
+    losses: Mapping[str, tuple[str, ...]],
+) -> tuple[Dataset, tuple[str, ...]]:
+    """The dataset of an ingest without its name, digest and quality, and notes on units that nothing states.
+
+    Args:
+        channels: recording → its channels, for their units.
+        streams: :func:`~sysid.datasets.tasks.steps.stream_signals` of all recordings.
+        losses: ``recording/file`` → what was lost when it was read.
+    """
+    units, assumed = with_joint_units(units_of(channels), plan.machine)
+    dataset = Dataset(
+        name=plan.machine.name,
+        version=0,
+        digest="",
+        machine=plan.machine,
+        recordings=tuple(parts),
+        units=units,
+        splits=roles,
+        sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
+        clocks=clocks,
+        streams=streams_of(streams, parts),
+    )
+    return dataset, assumed
 
 
 def units_of(channels: Mapping[str, Sequence[Channel]]) -> dict[str, str]:

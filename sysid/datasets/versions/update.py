@@ -227,7 +227,7 @@ class _Pass:
         mounts = mounts_of([files], self._base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
         ingested = read_and_align([files], plan, mounts, progress, self._skews)
         parts, roles = split(ingested.recordings, roles_of(ingested.recordings, plan.rules.splits, None), plan.where)
-        dataset = ingested.dataset(self._base["name"], "", plan.machine, parts, roles, sources)
+        dataset = replace(ingested.dataset(plan, parts, roles, sources), name=self._base["name"])
         checked_addition(dataset, {**self._base, "units": self._units}, plan)
         self._units = {**dataset.units, **self._units}
         return _Part(files, dataset, ingested.channels[files.name], mounts)
