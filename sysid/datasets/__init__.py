@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from sysid.datasets.ingestion import ingest
     from sysid.datasets.recording import Dataset, Kind, Recording, Role, Source
     from sysid.datasets.versions.append import append
+    from sysid.datasets.versions.assemble import frame_of
     from sysid.datasets.versions.diff import DatasetDiff, diff
-    from sysid.datasets.versions.frame import frame_of, load
     from sysid.datasets.versions.index import Entry
     from sysid.datasets.versions.lineage import Lineage, lineage
-    from sysid.datasets.versions.store import Store
+    from sysid.datasets.versions.store import Store, load
     from sysid.datasets.versions.tables import PartTables
     from sysid.datasets.versions.vacuum import VacuumResult, vacuum
 
@@ -49,11 +49,11 @@ __getattr__ = lazy_names(
         "ingestion": ["ingest"],
         "recording": ["Dataset", "Kind", "Recording", "Role", "Source"],
         "versions.append": ["append"],
+        "versions.assemble": ["frame_of"],
         "versions.diff": ["DatasetDiff", "diff"],
-        "versions.frame": ["frame_of", "load"],
         "versions.index": ["Entry"],
         "versions.lineage": ["Lineage", "lineage"],
-        "versions.store": ["Store"],
+        "versions.store": ["Store", "load"],
         "versions.tables": ["PartTables"],
         "versions.vacuum": ["VacuumResult", "vacuum"],
     },

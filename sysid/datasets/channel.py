@@ -175,8 +175,7 @@ def stored_channels(rows: pd.DataFrame) -> list[Channel]:
 
 def seconds(stamps: Stamps, origin_ns: int) -> Array:
     """Stamps as seconds since ``origin_ns``."""
-    times: Array = computed(len(stamps), lambda first, last: (stamps[first:last] - origin_ns) * 1e-9)
-    return times
+    return computed(len(stamps), lambda first, last: (stamps[first:last] - origin_ns) * 1e-9)
 
 
 #: Stamps that step back in a larger share of rows, or further [s], are not sorted: the clock was set while it recorded.

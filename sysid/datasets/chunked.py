@@ -75,8 +75,7 @@ def finite(values: Array) -> Array:
 
 def masked(count: int, piece: Callable[[int, int], Mask]) -> Mask:
     """A mask (count,); ``piece(first, last + 1)`` returns a part of it."""
-    mask: Mask = computed(count, piece, np.bool_)
-    return mask
+    return computed(count, piece, np.bool_)
 
 
 def counted(count: int, piece: Callable[[int, int], Mask]) -> int:

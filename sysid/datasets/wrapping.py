@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.checks.flag import with_unit
+from sysid.datasets.checks.finding import with_unit
 from sysid.datasets.checks.sensors import AROUND, GAP_PERIODS, STEPS_OF_SENSOR, sensor_step
 from sysid.datasets.chunked import Array, Mask, Rows, counted, differences, known, masked, median_step
 from sysid.datasets.recipe import SignalMap

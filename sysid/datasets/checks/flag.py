@@ -82,11 +82,6 @@ def merged(flags: Sequence[Flag]) -> list[Flag]:
     return [replace(flags[0], to_s=max(flag.to_s for flag in flags), samples=samples, text=text)]
 
 
-def with_unit(value: float, unit: str) -> str:
-    """A value with its unit, for texts."""
-    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
-
-
 def ends_of(signal: str, machine: Machine) -> tuple[float, float]:
     """Range of the axis that ``signal`` measures, in SI; infinite where it is not known."""
     owner, kind = split_signal(signal)

@@ -80,9 +80,9 @@ class FitSums:
 
     ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the derivative of the score, smaller
     than ``normal`` because weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score for uncorrelated
-    residuals; ``block_*`` belong to the numbered ``blocks`` (b,): ``block_weight`` is the information of a block about the
-    offset with a known map, ``block_information`` with an unknown one. ``intercept`` is half of the difference of the map
-    between the two directions in the middle of the motion, and its standard error; NaN without backlash.
+    residuals; ``block_sums`` (b, 6) are those of the numbered ``blocks`` (b,): scores of offset and skew, information about the
+    offset with a known map, squares, information with an unknown one, number of samples. ``intercept`` is half of the
+    difference of the map between the two directions in the middle of the motion, and its standard error; NaN without backlash.
     """
 
     normal: Array
@@ -93,11 +93,7 @@ class FitSums:
     weighted_squares: float
     explained: float
     blocks: npt.NDArray[np.int64]
-    block_scores: Array
-    block_weight: Array
-    block_squares: Array
-    block_counts: Array
-    block_information: Array
+    block_sums: Array
     intercept: tuple[float, float] = (float("nan"), float("nan"))
 
 
@@ -207,7 +203,9 @@ class PairFit:
         noise = self.scale**2
         variance = max(sum_y2 / count - (sum_y / count) ** 2, 1e-30)
         blocks, table = _merged(parts) if parts else (np.zeros(0, np.int64), np.zeros((0, size + 6)))
-        scores = (table[:, size : size + 2] - table[:, :size] @ projection) / noise
+        sums = table[:, size:].copy()
+        sums[:, :2] -= table[:, :size] @ projection
+        sums[:, :5] /= noise
         return FitSums(
             normal=normal / noise,
             score=score / noise,
@@ -217,11 +215,7 @@ class PairFit:
             weighted_squares=plain / noise,
             explained=1.0 - plain / weights / variance,
             blocks=blocks,
-            block_scores=scores,
-            block_weight=table[:, size + 2] / noise,
-            block_squares=table[:, size + 3] / noise,
-            block_information=table[:, size + 4] / noise,
-            block_counts=table[:, size + 5],
+            block_sums=sums,
             intercept=self._intercept(matrix, table, noise * robust / noise / weights)
             if self.pair.branches
             else (np.nan, np.nan),

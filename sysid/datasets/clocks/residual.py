@@ -118,7 +118,7 @@ def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> Clock
 
 
 def _over_time(record: ClockRecord, sums: Sequence[FitSums], pairs: Sequence[PairResidual]) -> ClockResidual:
-    numbers, scores, weight, squares, counts, _ = summed_blocks(sums)
+    numbers, scores, weight, squares, _, counts = summed_blocks(sums)
     used = weight > LEAST_WEIGHT * float(np.median(weight))
     middle = np.asarray((numbers[used] + 0.5) * BLOCK_S, dtype=np.float64)
     times = middle * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s

@@ -15,17 +15,19 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import uuid
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Role
-from sysid.datasets.versions.assemble import dataset_of
+from sysid.datasets.versions.assemble import dataset_of, frame_of
 from sysid.datasets.versions.files import UNCHANGED, OvertakenError, TakenError, explained
 from sysid.datasets.versions.index import VersionIndex, manifest_path, numbers_of
 from sysid.datasets.versions.manifest import (
@@ -42,6 +44,7 @@ from sysid.datasets.versions.manifest import (
 )
 from sysid.datasets.versions.tables import PartTables, is_there, read_batches, read_table, write_channels, write_samples
 from sysid.errors import StorageError, StoreError, nearest
+from sysid.location import default_location
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
 
@@ -99,7 +102,9 @@ class Store(VersionIndex):
             if part["channels"] is not None:
                 rows = part["channels"]["clocks"]
             else:
-                rows = self._table(manifest, part, "channels", columns).group_by(list(columns)).aggregate([]).to_pylist()
+                place = f"{manifest['name']}@{manifest['version']}: channels"
+                table = read_table(self.files, part, "channels", place, columns)
+                rows = table.group_by(list(columns)).aggregate([]).to_pylist()
             gone = part.get("superseded", ())
             found |= {(row["recording"], row["source"]): row["domain"] for row in rows if row["recording"] not in gone}
         return found
@@ -344,8 +349,22 @@ class Store(VersionIndex):
         gone = part.get("superseded", ())
         return table.filter(pc.invert(pc.is_in(table["recording"], pa.array(gone, pa.string())))) if gone else table
 
-    def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
-        return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
+
+def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.DataFrame:
+    """A stored version as one table: ``sysid.load("autolog@3")``.
+
+    Args:
+        reference: ``"name"`` (its newest version) or ``"name@3"``.
+        workspace: folder or object-store URL; else ``SYSID_WORKSPACE``, else ``./workspace``.
+
+    Returns:
+        See :func:`~sysid.datasets.versions.assemble.frame_of`.
+
+    Raises:
+        StoreError: no such dataset or version, or its files are damaged.
+    """
+    place = os.fspath(workspace) if workspace is not None else default_location()
+    return frame_of(Store(place if "://" in place else Path(place)).load(reference))
 
 
 @contextmanager
