@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid import scratch
-from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
+from sysid.datasets.channel import Channel, convert, counts_of, in_order
 from sysid.datasets.checks.flag import ends_of, repaired_stamps, sentinels
 from sysid.datasets.chunked import Array, masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
@@ -340,17 +340,13 @@ def _channel(
         ),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
-    return unwrapped, "; ".join(filter(None, (_missing(signal, entry, converted), _overflows(signal, converted), undone)))
-
-
-def _missing(signal: str, entry: SignalMap, converted: Converted) -> str:
-    numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
-    return f"{signal}: {converted.missing} values {numbers} taken as missing" if converted.missing else ""
-
-
-def _overflows(signal: str, converted: Converted) -> str:
-    count = converted.overflows
-    return f"{signal}: {count} overflow{'s' if count > 1 else ''} (beyond {LARGEST_COUNT:g}) taken as missing" if count else ""
+    said = []
+    if converted.missing:
+        numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
+        said.append(f"{signal}: {converted.missing} values {numbers} taken as missing")
+    if count := converted.overflows:
+        said.append(f"{signal}: {count} overflow{'s' if count > 1 else ''} (beyond {LARGEST_COUNT:g}) taken as missing")
+    return unwrapped, "; ".join([*said, *([undone] if undone else [])])
 
 
 def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[tuple[Channel, str]]:

@@ -155,7 +155,6 @@ def read_and_align(
     """Read, align and resample the recordings ``found``.
 
     Args:
-        mounts: of the rigid bodies.
         skews: known skews of the clocks, from other recordings.
     """
     readings: dict[str, ReadRecording] = {}

@@ -360,13 +360,7 @@ FASTER = 1.9
 
 
 def rate_notes(found: Sequence[RecordingFiles], readings: Mapping[str, ReadRecording], rate_hz: float) -> tuple[str, ...]:
-    """A note for each table without ``time_unit``, read in seconds, whose rate fits the machine's in another unit only.
-
-    Args:
-        found: the recordings with their files.
-        readings: recording → what was read.
-        rate_hz: rate of the machine [Hz].
-    """
+    """A note for each table without ``time_unit``, read in seconds, whose rate fits the machine's in another unit only."""
     notes = []
     for files in found:
         rates: dict[str, float] = {}

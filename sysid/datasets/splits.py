@@ -158,7 +158,8 @@ def copies_of(recordings: Sequence[Recording]) -> dict[str, str]:
         some = tuple(values[::step].tobytes() for values in measured)
         alike = seen.setdefault((len(recording), recording.signals, some), [])
         for other in alike:
-            if all(_equal(recording.values(signal), other.values(signal)) for signal in recording.signals):
+            pairs = [(recording.values(signal), other.values(signal)) for signal in recording.signals]
+            if all(np.array_equal(one[a:b], two[a:b], equal_nan=True) for one, two in pairs for a, b in pieces(len(one))):
                 found[recording.name] = other.name
                 break
         else:
@@ -176,10 +177,6 @@ def copy_notes(recordings: Sequence[Recording]) -> tuple[str, ...]:
 def _varies(values: Array) -> bool:
     there = known(values)
     return len(there) > 0 and bool(there.min() < there.max())
-
-
-def _equal(one: Array, other: Array) -> bool:
-    return all(np.array_equal(one[a:b], other[a:b], equal_nan=True) for a, b in pieces(len(one)))
 
 
 def _assigned(

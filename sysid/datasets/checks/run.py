@@ -96,7 +96,6 @@ def flag_rows(
     within one is missing in its row.
 
     Args:
-        machine: gives the axes and their ends.
         hold_s: longest hold of a command [s].
         progress: called with the share of the samples that have been checked.
     """

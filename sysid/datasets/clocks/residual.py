@@ -130,16 +130,8 @@ def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
     x, residual = fit.residuals(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
     edges = np.linspace(float(x.min()), float(x.max()), BINS + 1)
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-    counts = np.bincount(place, minlength=BINS)
-    order = np.argsort(place, kind="stable")
-    parts = np.split(residual[order], np.cumsum(counts)[:-1])
-    enough = counts >= 20
-    # Medians are robust against mistaken frames.
-    middle = np.array([float(np.median(part)) if there else np.nan for part, there in zip(parts, enough, strict=True)])
-    spread = np.array(
-        [
-            1.4826 * float(np.median(np.abs(part - m))) if there else np.nan
-            for part, m, there in zip(parts, middle, enough, strict=True)
-        ]
-    )
-    return PairResidual(pair.name, (edges[1:] + edges[:-1]) / 2.0, middle, spread, fit.scale)
+    away = pd.Series(residual)
+    counts, middle = away.groupby(place).size(), away.groupby(place).median()  # medians are robust against mistaken frames
+    spread = 1.4826 * (away - middle[place].to_numpy()).abs().groupby(place).median()
+    means, spreads = (np.asarray(own.where(counts >= 20).reindex(range(BINS)), np.float64) for own in (middle, spread))
+    return PairResidual(pair.name, (edges[1:] + edges[:-1]) / 2.0, means, spreads, fit.scale)

@@ -55,7 +55,6 @@ def without_mistakes(
     the longest sequence of feasible moves is kept.
 
     Args:
-        body: its name.
         poses: (n, 4, 4), NaN where not visible.
         seconds: increasing, (n,).
         error: mean marker error (n,) [m], where the system gives it.

@@ -180,9 +180,6 @@ def survey_recording(location: str, plan: Plan, files: RecordingFiles) -> tuple[
 def read_recording(own: RecordingTask, mounts: Mounts) -> ReadResult:
     """Task: raw files → ``channels/part-<number>``.
 
-    Args:
-        mounts: of the rigid bodies in this recording.
-
     Raises:
         SysidError: a log that cannot be used.
     """

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, cast
 
 from sysid.errors import StorageError, StoreError
+from sysid.root import Kind as EntryKind
 from sysid.root import Root
 from sysid.scratch import scratch_in
 
@@ -82,8 +83,28 @@ _LOCK = ".lock"
 _NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
+class Listing:
+    """Names in a folder, sorted; none where there is no such folder."""
+
+    def entries(self, folder: str) -> dict[str, EntryKind]:
+        """Name → kind of the entries."""
+        raise NotImplementedError
+
+    def names(self, folder: str) -> list[str]:
+        """Of the files."""
+        return [name for name, kind in self.entries(folder).items() if kind == "file"]
+
+    def folders(self, folder: str) -> list[str]:
+        """Of the folders."""
+        return [name for name, kind in self.entries(folder).items() if kind == "folder"]
+
+    def links(self, folder: str) -> list[str]:
+        """Of the links: neither files nor folders, and never followed."""
+        return [name for name, kind in self.entries(folder).items() if kind == "link"]
+
+
 @dataclass(frozen=True)
-class LocalFiles(Root):
+class LocalFiles(Root, Listing):
     """A folder on this machine. Paths use ``/``; a link below the folder is refused with a StoreError.
 
     :class:`ObjectFiles` has the same operations.
@@ -95,18 +116,6 @@ class LocalFiles(Root):
     def uri(self, path: str) -> str:
         self.path(path)
         return str(self.folder.resolve() / path)
-
-    def names(self, folder: str) -> list[str]:
-        """Names of the files in ``folder``, sorted; empty where there is none."""
-        return [name for name, kind in self.entries(folder).items() if kind == "file"]
-
-    def folders(self, folder: str) -> list[str]:
-        """Names of the folders in ``folder``, sorted."""
-        return [name for name, kind in self.entries(folder).items() if kind == "folder"]
-
-    def links(self, folder: str) -> list[str]:
-        """Names of the links in ``folder``, sorted: neither files nor folders, and never followed."""
-        return [name for name, kind in self.entries(folder).items() if kind == "link"]
 
     def address(self, path: str) -> tuple[int, str]:
         """Size [bytes] and sha256 of a file."""
@@ -200,7 +209,7 @@ def _move_new(root: Root, draft: str, final: str) -> None:
 
 
 @dataclass(frozen=True)
-class ObjectFiles:
+class ObjectFiles(Listing):
     """An object store, in which a put is atomic.
 
     The claim of a number is the first commit of a Delta table, which the object store accepts from one writer only (put if
@@ -246,7 +255,7 @@ class ObjectFiles:
     def uri(self, path: str) -> str:
         return f"{self.url}/{path}"
 
-    def _entries(self, folder: str, kind: str) -> list[str]:
+    def entries(self, folder: str) -> dict[str, EntryKind]:
         from pyarrow.fs import FileSelector
 
         with self._answering():
@@ -256,21 +265,11 @@ class ObjectFiles:
                 entries = system.get_file_info(selector)
             except FileNotFoundError:  # another writer made the folder between two checks of Arrow
                 entries = system.get_file_info(selector)
-        links = set(self.links(folder))
-        return sorted(entry.base_name for entry in entries if entry.type.name == kind and entry.base_name not in links)
-
-    def names(self, folder: str) -> list[str]:
-        return self._entries(folder, "File")
-
-    def folders(self, folder: str) -> list[str]:
-        return self._entries(folder, "Directory")
-
-    def links(self, folder: str) -> list[str]:
-        """None, except in a folder that is used as object store."""
-        _, place = self._at(folder)
-        if not self._in_folder or not Path(place).is_dir():
-            return []
-        return [name for name, kind in Root(Path(place)).entries("").items() if kind == "link"]
+        kinds: dict[str, EntryKind] = {"File": "file", "Directory": "folder"}
+        found = {entry.base_name: kinds[entry.type.name] for entry in entries if entry.type.name in kinds}
+        if self._in_folder:  # in which there may be links
+            found |= Root(Path(place)).entries("")
+        return dict(sorted(found.items()))
 
     def read(self, path: str) -> bytes:
         with self._answering():

@@ -20,7 +20,7 @@ from sysid.datasets.channels import Mounts, survey_mounts
 from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, as_found, check_sources, in_folder
 from sysid.datasets.ingestion import read_and_align
-from sysid.datasets.plan import Plan, content_of, made_by
+from sysid.datasets.plan import Plan, content_of, made_by, streams_of
 from sysid.datasets.recording import Dataset, Source
 from sysid.datasets.splits import split
 from sysid.datasets.versions.append import checked_addition, joined_quality, mounts_of, roles_of
@@ -248,29 +248,23 @@ class _Pass:
         quality: Mapping[str, Any] = base["quality"]
         for own in parts:
             quality = joined_quality(quality, own.dataset.quality)
+        recordings = tuple(recording for own in parts for recording in own.dataset.recordings)
+        streams = [(name, signal) for own in parts for name, signals in own.dataset.streams.items() for signal in signals]
         addition = replace(
             first,
             digest=digest,
-            recordings=tuple(recording for own in parts for recording in own.dataset.recordings),
+            recordings=recordings,
             units={name: unit for own in parts for name, unit in own.dataset.units.items()},
             splits={name: role for own in parts for name, role in own.dataset.splits.items()},
             sources=tuple(sources),
             clocks=tuple(clock for own in parts for clock in own.dataset.clocks),
             quality=quality,
-            streams=_united(own.dataset.streams for own in parts),
+            streams=streams_of(streams, recordings),
         )
         mounts: Mounts = {key: pose for own in parts for key, pose in own.mounts.items()}
         made = made_by([own.files for own in parts], self._plan, mounts)
         channels = {own.files.name: own.channels for own in parts}
         self._store.append(self._reference, addition, channels, made, True, progress, superseded)
-
-
-def _united(streams: Iterable[Mapping[str, Sequence[str]]]) -> dict[str, tuple[str, ...]]:
-    found: dict[str, dict[str, None]] = {}
-    for own in streams:
-        for stream, signals in own.items():
-            found.setdefault(stream, {}).update(dict.fromkeys(signals))
-    return {stream: tuple(signals) for stream, signals in sorted(found.items())}
 
 
 def _size(path: Path) -> int:
