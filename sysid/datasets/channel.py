@@ -11,7 +11,7 @@ import pandas as pd
 
 from sysid.datasets.checks.flag import Flag
 from sysid.datasets.chunked import Array, Rows, Stamps, median_step
-from sysid.datasets.clocks.set_clocks import set_back_rows
+from sysid.datasets.clocks.set_clocks import MAX_BACK_SHARE, MAX_LATE_S, set_back_rows
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream
@@ -178,10 +178,6 @@ def seconds(stamps: Stamps, origin_ns: int) -> Array:
     return computed(len(stamps), lambda first, last: (stamps[first:last] - origin_ns) * 1e-9)
 
 
-#: Stamps that step back in a larger share of rows, or further [s], are not sorted: the clock was set while it recorded.
-MAX_BACKWARD_SHARE, MAX_BACKWARD_S = 0.01, 1.0
-
-
 def in_order(stamps: Stamps, where: str) -> tuple[Rows, int]:
     """Rows in the order of their stamps, of those with one stamp the first, and the number of rows out of order.
 
@@ -193,7 +189,7 @@ def in_order(stamps: Stamps, where: str) -> tuple[Rows, int]:
     steps = np.diff(stamps)
     back = np.flatnonzero(steps < 0)
     problem = ""
-    if len(back) > max(1.0, MAX_BACKWARD_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_BACKWARD_S * 1e9):
+    if len(back) > max(1.0, MAX_BACK_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_LATE_S * 1e9):
         row = int(back[0]) + 2
         problem = f"stamps go back in time {len(back)} times, first in row {row} by {-steps[row - 2] * 1e-9:.6g} s"
     elif len(back) and len(reset := set_back_rows(stamps)):
