@@ -393,8 +393,7 @@ def command_notes(recordings: Iterable[Mapping[str, float]], rate_hz: float) -> 
     """A note for each log file whose commands come faster than the grid has rows: those between two rows act later.
 
     Args:
-        recordings: :func:`command_rates` of each.
-        rate_hz: rate of the machine [Hz].
+        recordings: :func:`command_rates` of each; ``rate_hz``: of the machine.
     """
     rates: dict[str, list[float]] = {}
     for own in recordings:

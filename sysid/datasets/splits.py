@@ -341,12 +341,8 @@ def rows_of(recording: Recording, name: str, first: int, last: int) -> Recording
     table = recording.table.iloc[first:last].reset_index(drop=True)
     table["time"] = computed(len(table), lambda a, b: np.arange(a, b) / recording.rate_hz)
     table.attrs = dict(recording.table.attrs)
-    return Recording(name, table, recording.rate_hz, recording.kind, start_of(recording, first))
-
-
-def start_of(recording: Recording, first: int) -> int:
-    """Stamp of a row on the grid of a recording [ns]."""
-    return recording.start_ns + round(first / recording.rate_hz * 1e9)
+    start_ns = recording.start_ns + round(first / recording.rate_hz * 1e9)
+    return Recording(name, table, recording.rate_hz, recording.kind, start_ns)
 
 
 def _motion(recording: Recording) -> Array:

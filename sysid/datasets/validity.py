@@ -38,7 +38,6 @@ def states(values: Array, at: Array, times: Array, rate_hz: float, command: bool
         values: the signal in the table, (n,).
         at: instants of the table, (n,) [s].
         times: of known values of the source, increasing, (m,) [s], same origin.
-        rate_hz: of the table.
     """
     result = np.full(len(values), MEASURED, dtype=np.int8)
     if len(times):

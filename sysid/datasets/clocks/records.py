@@ -321,7 +321,6 @@ def _moving(
 
 
 def _backlash_notes(found: Estimate) -> list[str]:
-    """The significant backlash between signals."""
     return [
         f"with backlash of {abs(item.width):.2g} (SI) between {' and '.join(item.name.split('~'))}"
         for item in found.backlash

@@ -210,7 +210,6 @@ def align_recording(own: RecordingTask, read: ReadResult, skews: Mapping[str, Sk
     """Task: ``channels/part-<number>`` → ``tables/<number>.arrow`` on the machine's clock.
 
     Args:
-        read: result of :func:`read_recording`.
         skews: clock domain → its skew; None: each recording has its own.
     """
     name, machine, rules = own.files.name, own.plan.machine, own.plan.rules
@@ -238,7 +237,6 @@ def store_recording(
     """Task: ``tables/<number>.arrow`` → ``samples/part-<number>``, and the quality of the recording.
 
     Args:
-        read, aligned: results of :func:`read_recording` and :func:`align_recording`.
         blocks: (name, first row, last + 1) of the blocks with different roles; empty: it is not cut.
         scales: axis → full command and top speed over all recordings.
         columns: of the samples of all recordings.

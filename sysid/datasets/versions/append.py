@@ -22,7 +22,7 @@ from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import split
 from sysid.datasets.tasks.driver import Survey, TaskIngest
 from sysid.datasets.versions.files import OvertakenError, working_on
-from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of
+from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of, files_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.execution import Executor
@@ -183,10 +183,7 @@ def _new_recordings(
     Raises:
         InputError: a recording that is held with other content, or the same content under another name.
     """
-    before: dict[str, dict[str, str]] = {}
-    for source in held:
-        recording, _, file = source["path"].rpartition("/")
-        before.setdefault(recording, {})[file] = source["sha256"]
+    before = {name: {file: entry["sha256"] for file, entry in own.items()} for name, own in files_of(held).items()}
     names = {frozenset(files.values()): recording for recording, files in before.items()}
     new: list[RecordingFiles] = []
     sources: list[Source] = []

@@ -25,7 +25,7 @@ from sysid.datasets.recording import Dataset, Source
 from sysid.datasets.splits import split
 from sysid.datasets.versions.append import checked_addition, joined_quality, mounts_of, roles_of
 from sysid.datasets.versions.files import OvertakenError, working_on
-from sysid.datasets.versions.manifest import Manifest, Superseded, clock_from, digest_of, reduced
+from sysid.datasets.versions.manifest import Manifest, Superseded, clock_from, digest_of, files_of, reduced
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, StoreError, SysidError
 from sysid.foreign import visible
@@ -101,10 +101,10 @@ class _Pass:
     def __init__(self, plan: Plan, store: Store, base: Manifest, fixed: frozenset[str], present: frozenset[str]) -> None:
         self._plan, self._store, self._base, self._fixed, self._present = plan, store, base, fixed, present
         self._reference = f"{base['name']}@{base['version']}"
-        self._held: dict[str, dict[str, tuple[int, str]]] = {}
-        for source in base["sources"]:
-            recording, _, file = source["path"].rpartition("/")
-            self._held.setdefault(recording, {})[file] = (source["size"], source["sha256"])
+        self._held: dict[str, dict[str, tuple[int, str]]] = {
+            recording: {file: (entry["size"], entry["sha256"]) for file, entry in own.items()}
+            for recording, own in files_of(base["sources"]).items()
+        }
         self._original = frozenset(self._held)
         self._beginnings: dict[str, list[list[str]]] = {
             name: [list(own) for own in lists] for name, lists in base.get("beginnings", {}).items()
