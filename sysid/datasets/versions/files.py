@@ -22,7 +22,6 @@ from typing import Any, BinaryIO, ClassVar, cast
 from sysid.errors import StorageError, StoreError
 from sysid.root import Kind as EntryKind
 from sysid.root import Root
-from sysid.scratch import scratch_in
 
 #: State of the store after a failed write, for the message of :func:`explained`.
 UNCHANGED = "no version was made, existing ones are complete"
@@ -45,6 +44,8 @@ def scratch_folder(workspace: str | Path) -> Path:
 def working_on(workspace: str | Path) -> Iterator[None]:
     """Large arrays lie in scratch files of ``workspace``; one thread, since for thousands of small systems more are slower."""
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    from sysid.scratch import scratch_in
 
     with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
         yield
