@@ -24,7 +24,7 @@ from sysid.release import __version__
 
 if TYPE_CHECKING:
     from sysid.datasets.recording import Dataset, Recording
-    from sysid.datasets.versions.frame import load
+    from sysid.datasets.versions.store import load
     from sysid.errors import ExcitationError, InputError, SettingsError, StoreError, SysidError
     from sysid.export.export import Export
     from sysid.front.files import export, report
@@ -68,7 +68,7 @@ __getattr__ = lazy_names(
     __name__,
     {
         "datasets.recording": ["Dataset", "Recording"],
-        "datasets.versions.frame": ["load"],
+        "datasets.versions.store": ["load"],
         "errors": ["ExcitationError", "InputError", "SettingsError", "StoreError", "SysidError"],
         "export.export": ["Export"],
         "front.files": ["export", "report"],

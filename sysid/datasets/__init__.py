@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 from sysid.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from sysid.datasets.clock_record import ClockRecord
+    from sysid.datasets.clocks import ClockRecord
     from sysid.datasets.ingestion import ingest
     from sysid.datasets.recording import Dataset, Kind, Recording, Role, Source
     from sysid.datasets.versions.append import append
+    from sysid.datasets.versions.assemble import frame_of
     from sysid.datasets.versions.diff import DatasetDiff, diff
-    from sysid.datasets.versions.frame import frame_of, load
     from sysid.datasets.versions.index import Entry
     from sysid.datasets.versions.lineage import Lineage, lineage
-    from sysid.datasets.versions.store import Store
+    from sysid.datasets.versions.store import Store, load
     from sysid.datasets.versions.tables import PartTables
     from sysid.datasets.versions.vacuum import VacuumResult, vacuum
 
@@ -45,15 +45,15 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "clock_record": ["ClockRecord"],
+        "clocks": ["ClockRecord"],
         "ingestion": ["ingest"],
         "recording": ["Dataset", "Kind", "Recording", "Role", "Source"],
         "versions.append": ["append"],
+        "versions.assemble": ["frame_of"],
         "versions.diff": ["DatasetDiff", "diff"],
-        "versions.frame": ["frame_of", "load"],
         "versions.index": ["Entry"],
         "versions.lineage": ["Lineage", "lineage"],
-        "versions.store": ["Store"],
+        "versions.store": ["Store", "load"],
         "versions.tables": ["PartTables"],
         "versions.vacuum": ["VacuumResult", "vacuum"],
     },

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.checks.flag import Flag
-from sysid.datasets.chunked import median_step
-from sysid.datasets.clocks.set_clocks import set_back_rows
+from sysid.datasets.chunked import Array, Rows, Stamps, median_step
+from sysid.datasets.clocks.set_clocks import MAX_BACK_SHARE, MAX_LATE_S, set_back_rows
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError, nearest
 from sysid.logs import Stream
@@ -64,8 +63,8 @@ class Channel:
     signal: str
     source: str
     domain: str
-    stamps: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float64]
+    stamps: Stamps
+    values: Array
     unit: str = "1"
     primary: bool = True
     interpolation: Literal["linear", "cubic"] = "linear"
@@ -97,7 +96,7 @@ class Converted:
         missing: number of values that the recipe states to be none.
     """
 
-    values: npt.NDArray[np.float64]
+    values: Array
     unit: str
     per_raw: float
     overflows: int
@@ -123,7 +122,7 @@ def convert(stream: Stream, mapping: SignalMap, signal: str, machine: Machine) -
     raw = stream.columns[mapping.field]
     overflows = missing = 0
 
-    def piece(first: int, last: int) -> npt.NDArray[np.float64]:
+    def piece(first: int, last: int) -> Array:
         values = raw[first:last] - mapping.zero
         values *= mapping.sign * mapping.scale
         values /= mapping.span
@@ -174,17 +173,12 @@ def stored_channels(rows: pd.DataFrame) -> list[Channel]:
     return found
 
 
-def seconds(stamps: npt.NDArray[np.int64], origin_ns: int) -> npt.NDArray[np.float64]:
+def seconds(stamps: Stamps, origin_ns: int) -> Array:
     """Stamps as seconds since ``origin_ns``."""
-    times: npt.NDArray[np.float64] = computed(len(stamps), lambda first, last: (stamps[first:last] - origin_ns) * 1e-9)
-    return times
+    return computed(len(stamps), lambda first, last: (stamps[first:last] - origin_ns) * 1e-9)
 
 
-#: Stamps that step back in a larger share of rows, or further [s], are not sorted: the clock was set while it recorded.
-MAX_BACKWARD_SHARE, MAX_BACKWARD_S = 0.01, 1.0
-
-
-def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.intp], int]:
+def in_order(stamps: Stamps, where: str) -> tuple[Rows, int]:
     """Rows in the order of their stamps, of those with one stamp the first, and the number of rows out of order.
 
     Raises:
@@ -195,7 +189,7 @@ def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.
     steps = np.diff(stamps)
     back = np.flatnonzero(steps < 0)
     problem = ""
-    if len(back) > max(1.0, MAX_BACKWARD_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_BACKWARD_S * 1e9):
+    if len(back) > max(1.0, MAX_BACK_SHARE * len(stamps)) or (len(back) and steps.min() < -MAX_LATE_S * 1e9):
         row = int(back[0]) + 2
         problem = f"stamps go back in time {len(back)} times, first in row {row} by {-steps[row - 2] * 1e-9:.6g} s"
     elif len(back) and len(reset := set_back_rows(stamps)):
@@ -210,9 +204,7 @@ def in_order(stamps: npt.NDArray[np.int64], where: str) -> tuple[npt.NDArray[np.
     return order[keep], len(back)
 
 
-def counts_of(
-    stamps: npt.NDArray[np.int64], values: npt.NDArray[np.float64], order: npt.NDArray[np.intp], late: int
-) -> RowCounts:
+def counts_of(stamps: Stamps, values: Array, order: Rows, late: int) -> RowCounts:
     """Rows of which :func:`in_order` keeps ``order``.
 
     Args:

@@ -10,12 +10,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid import scratch
-from sysid.datasets.channel import Channel, Converted, convert, counts_of, in_order
+from sysid.datasets.channel import Channel, convert, counts_of, in_order
 from sysid.datasets.checks.flag import ends_of, repaired_stamps, sentinels
-from sysid.datasets.chunked import masked
+from sysid.datasets.chunked import Array, masked
 from sysid.datasets.clocks.set_clocks import with_continued_stamps
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
 from sysid.datasets.frames.bodies import MissingFrames, find_mounts, joints_and_points
@@ -34,9 +33,9 @@ from sysid.progress import Progress, part, silent
 from sysid.units import split_header
 
 #: (recording, key of the recipe's entry) → body → its mount on its link.
-Mounts = Mapping[tuple[str, str], Mapping[str, npt.NDArray[np.float64]]]
+Mounts = Mapping[tuple[str, str], Mapping[str, Array]]
 #: Key of the recipe's entry → body → its poses on its link, (4, 4) each.
-ReferencePoses = Mapping[str, Mapping[str, Sequence[npt.NDArray[np.float64]]]]
+ReferencePoses = Mapping[str, Mapping[str, Sequence[Array]]]
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine, recipe_plac
         InputError: a body is not visible, or moves, in the reference pose; of all such files at once.
         SettingsError: no reference, or it names a missing recording.
     """
-    own: dict[tuple[str, str], Mapping[str, Sequence[npt.NDArray[np.float64]]]] = {}
+    own: dict[tuple[str, str], Mapping[str, Sequence[Array]]] = {}
     refused: dict[str, InputError] = {}
     for files in found:
         poses, errors = reference_poses(files, machine)
@@ -76,7 +75,7 @@ def reference_poses(files: RecordingFiles, machine: Machine) -> tuple[ReferenceP
 
     Also ``recording/file`` → why there is none: a file that cannot be read, a body that is not visible or moves.
     """
-    found: dict[str, dict[str, list[npt.NDArray[np.float64]]]] = {}
+    found: dict[str, dict[str, list[Array]]] = {}
     refused: dict[str, InputError] = {}
     for path, mapping in files.streams:
         if mapping is None or not mapping.bodies:
@@ -91,9 +90,7 @@ def reference_poses(files: RecordingFiles, machine: Machine) -> tuple[ReferenceP
     return found, refused
 
 
-def combined_mounts(
-    found: Sequence[RecordingFiles], own: Mapping[tuple[str, str], Mapping[str, Sequence[npt.NDArray[np.float64]]]]
-) -> Mounts:
+def combined_mounts(found: Sequence[RecordingFiles], own: Mapping[tuple[str, str], Mapping[str, Sequence[Array]]]) -> Mounts:
     """Mounts for each recording: of its own reference pose, or the mean of all where they share one.
 
     Args:
@@ -103,7 +100,7 @@ def combined_mounts(
         SettingsError: a reference names a missing recording.
     """
     with_bodies = [(files.name, m) for files in found for _, m in files.streams if m is not None and m.bodies]
-    mounts: dict[tuple[str, str], dict[str, npt.NDArray[np.float64]]] = {}
+    mounts: dict[tuple[str, str], dict[str, Array]] = {}
     for name, mapping in with_bodies:
         shared = mapping.reference is not None and mapping.reference.recording is not None
         sources = [m for (_, files), m in own.items() if files == mapping.key] if shared else [own[name, mapping.key]]
@@ -169,7 +166,8 @@ def _read_file(
     streams = read_streams(path, mapping, progress=progress, expected_hz=machine.rate_hz, is_part=is_part)
     progress(1.0, f"reading {path.name}")
     if mapping is None:
-        streams = with_continued_stamps(streams, None, machine=not before or _have_commands(streams))
+        commands = any(column.endswith(".command") for stream in streams for column in stream.columns)
+        streams = with_continued_stamps(streams, None, machine=not before or commands)
     said = [loss for stream in streams for loss in (*stream.losses, *(stream.left_out if mapping is None else ()))]
     said += _mixed_clocks(streams) if mapping is not None and mapping.clock is None else ()
     absent = _absent(streams, mapping) if mapping is not None and is_part else {}
@@ -179,7 +177,7 @@ def _read_file(
     said += [text for _, text in own if text]
     if mapping is None or not (mapping.bodies or mapping.points):
         return channels, said, ()
-    captured, dropped = _captured(path, streams, mapping, machine, mounts.get((recording, mapping.key), {}))
+    captured, dropped = joints_and_points(streams, mapping, mounts.get((recording, mapping.key), {}), machine)
     return channels + captured, said, dropped
 
 
@@ -214,34 +212,6 @@ def _check_parts(files: RecordingFiles, channels: Sequence[Channel]) -> None:
                 raise InputError(
                     f"{files.name}: {signal}", absent, f"as in {path.name}", "Correct `topic` and `field` in the recipe."
                 )
-
-
-def _captured(
-    path: Path,
-    streams: Sequence[Stream],
-    mapping: StreamMap,
-    machine: Machine,
-    mounts: Mapping[str, npt.NDArray[np.float64]],
-) -> tuple[list[Channel], tuple[MissingFrames, ...]]:
-    """Joints and points from the rigid bodies of an export."""
-    signals, dropped = joints_and_points(streams, mapping, mounts, machine)
-    channels = [
-        Channel(
-            signal=item.signal,
-            source=path.name,
-            domain=mapping.domain,
-            stamps=item.stamps,
-            values=item.values,
-            unit=machine.expected_unit(item.signal) or "m",
-            primary=item.signal not in mapping.secondary,
-            interpolation=mapping.interpolation,
-            max_gap_s=mapping.max_gap_s,
-            counts=replace(item.counts, empty=int(np.count_nonzero(np.isnan(item.values)))),
-            flags=item.flags,
-        )
-        for item in signals
-    ]
-    return channels, dropped
 
 
 def _shares(files: RecordingFiles) -> list[tuple[float, float]]:
@@ -370,17 +340,13 @@ def _channel(
         ),
     )
     unwrapped, undone = continuous(channel, entry, converted.per_raw, machine)
-    return unwrapped, "; ".join(filter(None, (_missing(signal, entry, converted), _overflows(signal, converted), undone)))
-
-
-def _missing(signal: str, entry: SignalMap, converted: Converted) -> str:
-    numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
-    return f"{signal}: {converted.missing} values {numbers} taken as missing" if converted.missing else ""
-
-
-def _overflows(signal: str, converted: Converted) -> str:
-    count = converted.overflows
-    return f"{signal}: {count} overflow{'s' if count > 1 else ''} (beyond {LARGEST_COUNT:g}) taken as missing" if count else ""
+    said = []
+    if converted.missing:
+        numbers = ", ".join(f"{number:.10g}" for number in entry.missing)
+        said.append(f"{signal}: {converted.missing} values {numbers} taken as missing")
+    if count := converted.overflows:
+        said.append(f"{signal}: {count} overflow{'s' if count > 1 else ''} (beyond {LARGEST_COUNT:g}) taken as missing")
+    return unwrapped, "; ".join([*said, *([undone] if undone else [])])
 
 
 def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[tuple[Channel, str]]:
@@ -403,10 +369,6 @@ def _canonical(path: Path, streams: Sequence[Stream], machine: Machine) -> list[
             channels.append(_channel(path, stream, column, SignalMap(field=column), mapping, machine, primary=True))
             scratch.leave()
     return channels
-
-
-def _have_commands(streams: Sequence[Stream]) -> bool:
-    return any(column.endswith(".command") for stream in streams for column in stream.columns)
 
 
 def _one_clock(channels: Sequence[Channel]) -> list[Channel]:

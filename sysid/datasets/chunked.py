@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 Values = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
+Stamps = npt.NDArray[np.int64]
 
 
 #: Number of rows and (first, last + 1) → their values without NaN, as many as there are; of one signal or of several.
@@ -74,8 +75,7 @@ def finite(values: Array) -> Array:
 
 def masked(count: int, piece: Callable[[int, int], Mask]) -> Mask:
     """A mask (count,); ``piece(first, last + 1)`` returns a part of it."""
-    mask: Mask = computed(count, piece, np.bool_)
-    return mask
+    return computed(count, piece, np.bool_)
 
 
 def counted(count: int, piece: Callable[[int, int], Mask]) -> int:

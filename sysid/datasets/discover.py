@@ -53,7 +53,7 @@ class RecordingFiles:
                 raise InputError(path, found, "a complete log", remedy)
 
 
-def discover(paths: Sequence[Path], recipe: IngestRecipe | None) -> tuple[RecordingFiles, ...]:
+def discover(paths: Sequence[Path], recipe: IngestRecipe) -> tuple[RecordingFiles, ...]:
     """All recordings below ``paths``, in the order of their names.
 
     A path is a folder of recordings, one recording's folder, or a single file that is a recording.
@@ -111,16 +111,16 @@ def count_files(found: Sequence[RecordingFiles]) -> int:
     return len({(files.name, path) for files in found for path, _ in files.streams})
 
 
-def left_out(paths: Sequence[Path], recipe: IngestRecipe | None) -> dict[str, list[str]]:
+def left_out(paths: Sequence[Path], recipe: IngestRecipe) -> dict[str, list[str]]:
     """Glob of ``left_out`` in the recipe → the files, ``recording/file``, that are not read."""
-    patterns = recipe.recordings.left_out if recipe is not None else ()
+    patterns = recipe.recordings.left_out
     places = {f"{name}/{file.name}" for path in paths for name, file in _places(path, recipe)} if patterns else set()
     return {pattern: sorted(key for key in places if fnmatchcase(key, pattern)) for pattern in patterns}
 
 
-def _places(path: Path, recipe: IngestRecipe | None) -> Iterator[tuple[str, Path]]:
+def _places(path: Path, recipe: IngestRecipe) -> Iterator[tuple[str, Path]]:
     """Every log file of a path with the name of its recording, as :func:`discover` names it."""
-    named = recipe.recordings.files if recipe is not None else {}
+    named = recipe.recordings.files
     if path.is_file() or named:
         stated = [(name, file) for name, pattern in named.items() for file in (path.glob(pattern) if path.is_dir() else [path])]
         yield from stated or [(path.stem, path)]
@@ -137,14 +137,12 @@ def _places(path: Path, recipe: IngestRecipe | None) -> Iterator[tuple[str, Path
             yield from ((folder.resolve().name, file) for file in sorted(folder.iterdir()) if is_log(file))
 
 
-def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object) -> None:
+def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe, where: object) -> None:
     """Check that no two entries of the recipe are primary sources of one signal in one recording.
 
     Raises:
         SettingsError: two are.
     """
-    if recipe is None:
-        return
     for files in found:
         primary: dict[str, StreamMap] = {}
         entries = {id(stream): stream for _, stream in files.streams if stream is not None}
@@ -164,9 +162,7 @@ def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe | None, 
                 primary[signal] = stream
 
 
-def check_recordings(
-    paths: Sequence[Path], found: Sequence[RecordingFiles], recipe: IngestRecipe | None, where: object
-) -> None:
+def check_recordings(paths: Sequence[Path], found: Sequence[RecordingFiles], recipe: IngestRecipe, where: object) -> None:
     """Check that the recordings and files which the recipe names are there: ``recordings`` of its entries, ``left_out``.
 
     Raises:
@@ -178,19 +174,18 @@ def check_recordings(
             place = f"{where}: recordings.left_out"
             there = [f"{name}/{file.name}" for path in paths for name, file in _places(path, recipe)]
             raise SettingsError(place, f"no file {pattern!r}", nearest(pattern, there), "Correct the name.")
-    for stream in recipe.streams if recipe is not None else ():
+    for stream in recipe.streams:
         for pattern in stream.recordings:
             if not any(fnmatchcase(name, pattern) for name in names):
                 place = f"{where}: streams {stream.files!r}: recordings"
                 raise SettingsError(place, f"no recording {pattern!r}", nearest(pattern, names), "Correct the name.")
 
 
-def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe | None) -> tuple[str, ...]:
+def unmatched(found: Sequence[RecordingFiles], recipe: IngestRecipe) -> tuple[str, ...]:
     """Notes about entries of the recipe that no file matches."""
     used = {stream.key for files in found for _, stream in files.streams if stream is not None}
-    streams = recipe.streams if recipe is not None else ()
     return tuple(
-        f"no recording has a file {stream.key!r}: its entry is not used" for stream in streams if stream.key not in used
+        f"no recording has a file {stream.key!r}: its entry is not used" for stream in recipe.streams if stream.key not in used
     )
 
 
@@ -212,10 +207,10 @@ def _written(path: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def _nothing(paths: Sequence[Path], recipe: IngestRecipe | None) -> InputError:
+def _nothing(paths: Sequence[Path], recipe: IngestRecipe) -> InputError:
     """Why single files are no recordings."""
     where = ", ".join(map(str, paths))
-    if recipe is not None and recipe.streams:
+    if recipe.streams:
         patterns = [stream.files for stream in recipe.streams]
         return InputError(where, "no entry of the recipe matches", f"files {', '.join(patterns)}", "Correct `files`.")
     try:
@@ -231,16 +226,16 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
-    recordings = recipe.recordings if recipe is not None else Recordings()
+def _in_path(path: Path, recipe: IngestRecipe) -> list[RecordingFiles]:
+    recordings = recipe.recordings
     if recordings.files:
-        return _single_files(path, recordings, recipe)
+        return _single_files(path, recipe)
     if path.is_file() and recordings.leaves_out(path.stem, path.name):
         return []
     if path.is_file():
         home = path.resolve().parent  # a link that is named stands for its file
         streams = _matched([path], home, recipe, path.stem)
-        return [RecordingFiles(path.stem, _kind(path.stem, recordings, path), home, streams)]
+        return [RecordingFiles(path.stem, _kind(path.stem, recordings), home, streams)]
     if not path.is_dir():
         check_file(path, "a log file or a folder of recordings")  # a pipe or a device
     if is_lerobot(path):
@@ -251,27 +246,27 @@ def _in_path(path: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
         result += in_folder(path, folder, recipe)
     if not result:  # the path is itself one recording
         streams = _matched(sorted(path.iterdir()), path, recipe, path.resolve().name)
-        if not streams and recipe is not None and recipe.streams:
+        if not streams and recipe.streams:
             present = {entry.name for entry in (*path.iterdir(), *path.glob("*/*")) if is_log(entry)}
             patterns = ", ".join(repr(stream.files) for stream in recipe.streams)
             raise InputError(path, f"no file {patterns} of the recipe's `files`", nearest("", present), "Correct `files`.")
         if not streams:
             expected = "recordings " + ", ".join(map(repr, (*recordings.motion, *recordings.poses)))
             raise InputError(path, "no log files", expected, "Each sub-folder with log files is one recording.")
-        result.append(RecordingFiles(path.resolve().name, _kind(path.resolve().name, recordings, path), path, streams))
+        result.append(RecordingFiles(path.resolve().name, _kind(path.resolve().name, recordings), path, streams))
     return result
 
 
-def in_folder(path: Path, folder: Path, recipe: IngestRecipe | None) -> list[RecordingFiles]:
+def in_folder(path: Path, folder: Path, recipe: IngestRecipe) -> list[RecordingFiles]:
     """The recording in a sub-folder of a folder of recordings; none without logs, or where the recipe does not name it."""
-    recordings = recipe.recordings if recipe is not None else Recordings()
+    recordings = recipe.recordings
     if not any(fnmatchcase(folder.name, pattern) for pattern in (*recordings.motion, *recordings.poses)):
         return []
     inside(path, str(folder.resolve()), folder)
     if is_lerobot(folder):
         return episodes_of(folder, recipe, f"{folder.name}-")
     streams = _matched(sorted(folder.iterdir()), folder, recipe, folder.name)
-    return [RecordingFiles(folder.name, _kind(folder.name, recordings, path), folder, streams)] if streams else []
+    return [RecordingFiles(folder.name, _kind(folder.name, recordings), folder, streams)] if streams else []
 
 
 def as_found(recordings: Sequence[RecordingFiles]) -> tuple[RecordingFiles, ...]:
@@ -290,13 +285,13 @@ def all_files(recording: RecordingFiles) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(file for path, _ in recording.streams for file in (path, *side_files(path))))
 
 
-def episodes_of(folder: Path, recipe: IngestRecipe | None, prefix: str = "") -> list[RecordingFiles]:
+def episodes_of(folder: Path, recipe: IngestRecipe, prefix: str = "") -> list[RecordingFiles]:
     """The episodes of a LeRobot dataset, a recording each: entries of the recipe read the stream of the episode.
 
     Raises:
         InputError: no recipe, or a data file that is not readable.
     """
-    if recipe is None or not recipe.streams:
+    if not recipe.streams:
         remedy = "Draft one: sysid ingest --inspect FOLDER --machine machine.toml --draft recipe.toml."
         raise InputError(folder, "a LeRobot dataset, whose files state no units", "a recipe", remedy)
     result, files = [], data_files(folder)
@@ -317,7 +312,7 @@ def episodes_of(folder: Path, recipe: IngestRecipe | None, prefix: str = "") -> 
             entries = [entry for _, entry in _matched([file], file.parent, recipe, name) if entry is not None]
             own = tuple((file, _for_episode(entry, stream.name)) for entry in entries)
             if own:
-                result.append(RecordingFiles(name, _kind(name, recipe.recordings, folder), folder, own))
+                result.append(RecordingFiles(name, _kind(name, recipe.recordings), folder, own))
     check_refused(refused, len(files), "the recipe")
     return result
 
@@ -333,8 +328,8 @@ def _for_episode(entry: StreamMap, episode: str) -> StreamMap:
     return replace(entry, signals=signals, reader=LeRobotReader().name)
 
 
-def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | None) -> list[RecordingFiles]:
-    result = []
+def _single_files(path: Path, recipe: IngestRecipe) -> list[RecordingFiles]:
+    result, recordings = [], recipe.recordings
     for name, pattern in recordings.files.items():
         files = sorted(path.glob(pattern)) if path.is_dir() else [path] if fnmatchcase(path.name, pattern) else []
         files = [inside(path if path.is_dir() else path.parent, str(file.resolve()), path) for file in files]
@@ -343,17 +338,16 @@ def _single_files(path: Path, recordings: Recordings, recipe: IngestRecipe | Non
             raise InputError(path, f"no file {pattern!r} for recording {name!r}", nearest(pattern, present))
         if all(recordings.leaves_out(name, file.name) for file in files):
             continue
-        result.append(RecordingFiles(name, _kind(name, recordings, path), files[0].parent, _matched(files, path, recipe, name)))
+        result.append(RecordingFiles(name, _kind(name, recordings), files[0].parent, _matched(files, path, recipe, name)))
     return result
 
 
 def _matched(
-    files: Sequence[Path], folder: Path, recipe: IngestRecipe | None, recording: str
+    files: Sequence[Path], folder: Path, recipe: IngestRecipe, recording: str
 ) -> tuple[tuple[Path, StreamMap | None], ...]:
     """Each log file of ``recording`` with its entry of the recipe; without entries, every file for which there is a reader."""
-    if recipe is not None:
-        files = [file for file in files if not recipe.recordings.leaves_out(recording, file.name)]
-    if recipe is None or not recipe.streams:
+    files = [file for file in files if not recipe.recordings.leaves_out(recording, file.name)]
+    if not recipe.streams:
         for file in files:
             inside(folder, str(file.resolve()), file)
         return tuple((file, None) for file in files if is_log(file))
@@ -368,5 +362,5 @@ def _matched(
     return tuple(pairs)
 
 
-def _kind(name: str, recordings: Recordings, path: Path) -> Kind:
+def _kind(name: str, recordings: Recordings) -> Kind:
     return "poses" if any(fnmatchcase(name, pattern) for pattern in recordings.poses) else "motion"

@@ -16,31 +16,26 @@ from sysid.datasets.plan import (
     Plan,
     command_rates,
     content_of,
+    ingested_dataset,
     made_by,
     notes_of,
     placed,
     plan_of,
     rate_notes,
     sources_of,
-    streams_of,
-    units_of,
-    with_joint_units,
 )
 from sysid.datasets.quality.describe import describe
-from sysid.datasets.recipe import IngestRecipe
 from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes, split
 from sysid.datasets.tasks.driver import TaskIngest
 from sysid.datasets.tasks.steps import aligned_recording, stream_signals
-from sysid.datasets.versions.files import scratch_folder
+from sysid.datasets.versions.files import working_on
 from sysid.datasets.versions.manifest import PartRecord, digest_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError
 from sysid.execution import Executor
-from sysid.machine import Machine
 from sysid.names import check_dataset_name
 from sysid.progress import Progress, part, silent
-from sysid.scratch import scratch_in
 
 #: Begin and end of each step as shares of the total time, for a large log on one clock.
 _READ, _RESAMPLED, _FLAGGED, DESCRIBED, STORED = (0.01, 0.12), (0.12, 0.29), (0.29, 0.49), (0.49, 0.64), (0.64, 1.0)
@@ -72,16 +67,13 @@ def ingest(
         SettingsError: a mistake in ``machine.toml`` or in the recipe.
         StorageError: the disk of the workspace is full, for the version or for scratch files.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    # One thread: for thousands of small systems threads are slower.
-    with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
+    with working_on(workspace):
         return _ingest(plan_of(paths, machine, recipe), workspace, name, progress or silent, executor)
 
 
 def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progress, executor: Executor | None) -> Dataset:
     rules, description = plan.rules, plan.machine
-    title = name or (rules.name if rules is not None else None) or description.name
+    title = name or rules.name or description.name
     check_dataset_name(title, remedy="Choose another --name.")
 
     report(0.0, "reading file names")
@@ -96,24 +88,21 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
         report(1.0, f"the same logs are {known.reference}")
         return known
 
-    settings = rules if rules is not None else IngestRecipe(schema=1)
-
     def divide(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], dict[str, Role]]:
-        return split(recordings, settings.splits, plan.where, description)
+        return split(recordings, rules.splits, plan.where, description)
 
     if executor is not None:
         with store.new_part(title, digest) as folder, executor.kept() as kept:
             tasks = TaskIngest(kept, store)
             mounts = tasks.survey(found, plan, report)
-            written = tasks.written(found, plan, mounts, settings.splits, divide, folder, report)
-            saved = store.save_written(written.named(title, digest, sources), written.part)
-        report(1.0, f"stored {saved.reference}")
-        return saved
-
-    ingested = read_and_align(found, plan, survey_mounts(found, description, plan.recipe_place), report)
-    parts, roles = divide(ingested.recordings)
-    dataset = ingested.dataset(title, digest, description, parts, roles, sources, part(report, *DESCRIBED))
-    saved = store.save(dataset, ingested.channels, ingested.made, part(report, *STORED))
+            dataset, entry = tasks.written(found, plan, mounts, sources, divide, folder, report)
+            number = store.publish(replace(dataset, name=title, digest=digest), entry)
+        saved = store.load(f"{title}@{number}")
+    else:
+        ingested = read_and_align(found, plan, survey_mounts(found, description, plan.recipe_place), report)
+        parts, roles = divide(ingested.recordings)
+        dataset = ingested.dataset(plan, parts, roles, sources, part(report, *DESCRIBED))
+        saved = store.save(replace(dataset, name=title, digest=digest), ingested.channels, ingested.made, part(report, *STORED))
     report(1.0, f"stored {saved.reference}")
     return saved
 
@@ -136,35 +125,24 @@ class IngestPass:
 
     def dataset(
         self,
-        name: str,
-        digest: str,
-        machine: Machine,
+        plan: Plan,
         parts: Sequence[Recording],
         roles: Mapping[str, Role],
         sources: Sequence[Source],
         progress: Progress = silent,
     ) -> Dataset:
-        """The version to be stored, with recordings ``parts`` in ``roles``."""
-        units, assumed = with_joint_units(units_of(self.channels), machine)
-        parts = tuple(_with_units(part, units) for part in parts)
+        """The version to be stored, without name and digest, with recordings ``parts`` in ``roles``."""
         losses = {f"{name}/{file}": items for name, reading in self.readings.items() for file, items in reading.losses.items()}
-        return Dataset(
-            name=name,
-            version=0,
-            digest=digest,
-            machine=machine,
-            recordings=parts,
-            units=units,
-            splits=roles,
-            sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
-            clocks=self.clocks,
-            quality={
-                **describe(parts, self.readings, self.clocks, machine, progress),
-                "flags": list(self.flags),
-                "notes": [*self.notes, *assumed],
-            },
-            streams=streams_of([pair for recording in self.recording_clocks for pair in stream_signals(recording)], parts),
-        )
+        streams = [pair for recording in self.recording_clocks for pair in stream_signals(recording)]
+        dataset, assumed = ingested_dataset(plan, parts, roles, self.clocks, self.channels, streams, sources, losses)
+        for recording in parts:
+            recording.table.attrs["units"] = {str(column): dataset.units[str(column)] for column in recording.table.columns}
+        quality = {
+            **describe(parts, self.readings, self.clocks, plan.machine, progress),
+            "flags": list(self.flags),
+            "notes": [*self.notes, *assumed],
+        }
+        return replace(dataset, quality=quality)
 
 
 def read_and_align(
@@ -177,10 +155,8 @@ def read_and_align(
     """Read, align and resample the recordings ``found``.
 
     Args:
-        mounts: of the rigid bodies.
         skews: known skews of the clocks, from other recordings.
     """
-    settings = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
     readings: dict[str, ReadRecording] = {}
     refused: dict[str, InputError] = {}
     sizes = [sum(size for size, _ in files.written.values()) for files in found]
@@ -200,17 +176,17 @@ def read_and_align(
     recording_clocks = tuple(RecordingClocks(files.name, files.kind, readings[files.name].channels) for files in found)
     report(_READ[1], "aligning clocks")
     alignment = aligned(recording_clocks, skews)
-    names = placed([recording.name for recording in recording_clocks], alignment.refused, settings.splits)
+    names = placed([recording.name for recording in recording_clocks], alignment.refused, plan.rules.splits)
     clocks, recording_clocks = alignment.records, tuple(r for r in recording_clocks if r.name in names)
     recordings = []
     for number, recording in enumerate(recording_clocks):
         own = _share(report, _RESAMPLED, number, len(recording_clocks))
-        recordings.append(aligned_recording(recording, by_source(clocks, recording.name), plan.machine, settings, own))
+        recordings.append(aligned_recording(recording, by_source(clocks, recording.name), plan.machine, plan.rules, own))
     made = made_by(found, plan, mounts)
     flags = []
     for number, recording in enumerate(recording_clocks):
         own = _share(report, _FLAGGED, number, len(recording_clocks))
-        flags += flag_rows(recording, clocks, plan.machine, settings.hold_s, own)
+        flags += flag_rows(recording, clocks, plan.machine, plan.rules.hold_s, own)
     rates = rate_notes(found, readings, plan.machine.rate_hz)
     commands = [command_rates(reading) for reading in readings.values()]
     notes = (*notes_of(found, plan, mounts, rates, commands, alignment.refused), *copy_notes(recordings))
@@ -221,8 +197,3 @@ def read_and_align(
 def _share(report: Progress, step: tuple[float, float], number: int, count: int) -> Progress:
     """The progress of one of ``count`` recordings in a step."""
     return part(part(report, *step), number / count, (number + 1) / count)
-
-
-def _with_units(recording: Recording, units: Mapping[str, str]) -> Recording:
-    recording.table.attrs["units"] = {str(column): units[str(column)] for column in recording.table.columns}
-    return recording

@@ -229,19 +229,17 @@ def _entries(inside: Sequence[tuple[str, str]], outside: Sequence[tuple[str, str
     """Globs for (recording, file name) of ``inside`` that do not match ``outside``."""
     names, recordings = sorted({name for _, name in inside}), sorted({recording for recording, _ in inside})
     for pattern in _patterns(names):
-        conflicting = [recording for recording, name in outside if fnmatchcase(name, pattern)]
+        conflicting = {recording for recording, name in outside if fnmatchcase(name, pattern)}
         if not conflicting:
             return ((pattern, ()),)
-        if not {*conflicting} & {*recordings}:
-            return ((pattern, _separated(recordings, {*conflicting})),)
-    return tuple(entry for name in names for entry in _of_name(name, inside, outside))
-
-
-def _of_name(
-    name: str, inside: Sequence[tuple[str, str]], outside: Sequence[tuple[str, str]]
-) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    conflicting = {recording for recording, other in outside if other == name}
-    return ((escape(name), _separated(sorted(r for r, n in inside if n == name), conflicting) if conflicting else ()),)
+        if conflicting.isdisjoint(recordings):
+            return ((pattern, _separated(recordings, conflicting)),)
+    entries = []
+    for name in names:
+        conflicting = {recording for recording, other in outside if other == name}
+        own = sorted(recording for recording, other in inside if other == name)
+        entries.append((escape(name), _separated(own, conflicting) if conflicting else ()))
+    return tuple(entries)
 
 
 def _separated(names: Sequence[str], others: set[str]) -> tuple[str, ...]:

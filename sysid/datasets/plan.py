@@ -5,18 +5,18 @@ which are kept, their units (also those that neither files nor recipe state), st
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording
+from sysid.datasets.chunked import Array
 from sysid.datasets.discover import RecordingFiles, all_files, left_out, sha256, unmatched
-from sysid.datasets.recipe import IngestRecipe, Splits, StreamMap, check_against_machine, load_recipe
-from sysid.datasets.recording import Recording, Source
+from sysid.datasets.recipe import NO_RECIPE, IngestRecipe, Splits, StreamMap, check_against_machine, load_recipe
+from sysid.datasets.recording import ClockRecord, Dataset, Recording, Role, Source
 from sysid.datasets.resample import GAP_PERIODS
 from sysid.datasets.versions.manifest import PartRecord
 from sysid.errors import AlignmentError, InputError, SettingsError
@@ -24,8 +24,6 @@ from sysid.logs import reader_for
 from sysid.logs.time_unit import NEAR, SECONDS
 from sysid.machine import Axis, Machine, load_machine
 from sysid.signals import axis_signal
-
-Array = npt.NDArray[np.float64]
 
 #: Part of every digest; to be increased when the same logs give another table.
 INGEST_VERSION = 6
@@ -36,14 +34,14 @@ class Plan:
     """Folders, recipe and machine of an ingest; ``where`` is named in errors."""
 
     roots: tuple[Path, ...]
-    rules: IngestRecipe | None
+    rules: IngestRecipe
     machine: Machine
     where: Path
 
     @property
     def recipe_place(self) -> str:
         """Where the recipe is that the next ingest of the same paths takes, for a remedy."""
-        if self.rules is not None:
+        if self.rules.text:
             return f"the recipe ({self.where})" if self.where.is_file() else "the recipe"
         first = "whose first line is `schema = 1`"
         alone = len(self.roots) == 1 and self.roots[0].is_dir()
@@ -54,7 +52,7 @@ def plan_of(
     paths: Sequence[Path | str] | Path | str,
     machine: Path | str | None,
     recipe: Path | str | None,
-    otherwise: Callable[[], IngestRecipe | None] = lambda: None,
+    otherwise: Callable[[], IngestRecipe] = lambda: NO_RECIPE,
     same: Machine | None = None,
 ) -> Plan:
     """Find recipe and machine for ``paths``.
@@ -72,9 +70,8 @@ def plan_of(
         if not root.exists():
             raise InputError(root, "no such file or folder", "a folder of recordings or a log file", "Check the path.")
     recipe_path = _recipe_path(recipe, roots)
-    own = load_recipe(recipe_path) if recipe_path is not None else None
-    rules = own if own is not None else otherwise()
-    machine_path = _machine_path(machine, own, recipe_path, roots)
+    rules = load_recipe(recipe_path) if recipe_path is not None else otherwise()
+    machine_path = _machine_path(machine, rules, recipe_path, roots)
     if machine_path is not None:
         description = load_machine(machine_path)
         if description.effects:
@@ -88,11 +85,10 @@ def plan_of(
         remedy = "Give one with --machine, or name it in the recipe."
         raise SettingsError(roots[0], "no machine description", "machine.toml", remedy)
     where = recipe_path if recipe_path is not None else roots[0]
-    if rules is not None:
-        check_against_machine(rules, description, where)
-        if rules.logs is not None and recipe_path is not None:
-            own_folder = [root.is_dir() and root.resolve() == recipe_path.parent.resolve() for root in roots]
-            roots = [root / rules.logs if here else root for root, here in zip(roots, own_folder, strict=True)]
+    check_against_machine(rules, description, where)
+    if rules.logs is not None and recipe_path is not None:
+        own_folder = [root.is_dir() and root.resolve() == recipe_path.parent.resolve() for root in roots]
+        roots = [root / rules.logs if here else root for root, here in zip(roots, own_folder, strict=True)]
     return Plan(tuple(roots), rules, description, where)
 
 
@@ -104,11 +100,11 @@ def _recipe_path(recipe: Path | str | None, roots: Sequence[Path]) -> Path | Non
 
 
 def _machine_path(
-    machine: Path | str | None, rules: IngestRecipe | None, recipe_path: Path | None, roots: Sequence[Path]
+    machine: Path | str | None, rules: IngestRecipe, recipe_path: Path | None, roots: Sequence[Path]
 ) -> Path | None:
     if machine is not None:
         return Path(machine)
-    if rules is not None and rules.machine is not None and recipe_path is not None:
+    if rules.machine is not None and recipe_path is not None:
         return recipe_path.parent / rules.machine
     for root in roots:
         for folder in (root, root.parent):
@@ -130,14 +126,14 @@ def sources_of(found: Sequence[RecordingFiles]) -> tuple[Source, ...]:
     return tuple(unique.values())
 
 
-def content_of(sources: Sequence[Source], rules: IngestRecipe | None) -> dict[str, Any]:
+def content_of(sources: Sequence[Source], rules: IngestRecipe) -> dict[str, Any]:
     """Inputs of the tables except the machine, as plain JSON values for the digest."""
     content: dict[str, Any] = {
         "ingest": INGEST_VERSION,
         "sources": sorted((source.path, source.sha256) for source in sources),
-        "recipe": rules.text if rules is not None else "",
+        "recipe": rules.text,
     }
-    databases = {stream.dbc for stream in rules.streams if stream.dbc is not None} if rules is not None else set()
+    databases = {stream.dbc for stream in rules.streams if stream.dbc is not None}
     if databases:
         content["databases"] = sorted(sha256(Path(database)) for database in databases)
     return content
@@ -145,7 +141,7 @@ def content_of(sources: Sequence[Source], rules: IngestRecipe | None) -> dict[st
 
 def settings_of(plan: Plan) -> dict[str, Any]:
     """Settings of resampling, for the lineage."""
-    rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
+    rules = plan.rules
     streams = {
         stream.key: {"domain": stream.domain, "interpolation": stream.interpolation, "max_gap_s": stream.max_gap_s}
         for stream in rules.streams
@@ -195,6 +191,39 @@ def streams_of(pairs: Sequence[tuple[str, str]], tables: Sequence[Recording]) ->
     return {stream: tuple(signals) for stream, signals in sorted(found.items())}
 
 
+def ingested_dataset(
+    plan: Plan,
+    parts: Sequence[Recording],
+    roles: Mapping[str, Role],
+    clocks: tuple[ClockRecord, ...],
+    channels: Mapping[str, Sequence[Channel]],
+    streams: Sequence[tuple[str, str]],
+    sources: Sequence[Source],
+    losses: Mapping[str, tuple[str, ...]],
+) -> tuple[Dataset, tuple[str, ...]]:
+    """The dataset of an ingest without its name, digest and quality, and notes on units that nothing states.
+
+    Args:
+        channels: recording → its channels, for their units.
+        streams: :func:`~sysid.datasets.tasks.steps.stream_signals` of all recordings.
+        losses: ``recording/file`` → what was lost when it was read.
+    """
+    units, assumed = with_joint_units(units_of(channels), plan.machine)
+    dataset = Dataset(
+        name=plan.machine.name,
+        version=0,
+        digest="",
+        machine=plan.machine,
+        recordings=tuple(parts),
+        units=units,
+        splits=roles,
+        sources=tuple(replace(source, losses=losses.get(source.path, ())) for source in sources),
+        clocks=clocks,
+        streams=streams_of(streams, parts),
+    )
+    return dataset, assumed
+
+
 def units_of(channels: Mapping[str, Sequence[Channel]]) -> dict[str, str]:
     """Signal → SI unit.
 
@@ -225,18 +254,16 @@ def notes_of(
         commands: :func:`command_rates` of each.
         refused: recordings that could not be placed in time.
     """
-    streams = plan.rules.streams if plan.rules is not None else ()
     omitted = [f"left out: {error}" for error in refused.values()]
     if stated := sorted({key for keys in left_out(plan.roots, plan.rules).values() for key in keys}):
         omitted.append(f"{len(stated)} file{'s' if len(stated) > 1 else ''} left out by the recipe: {', '.join(stated)}")
     rates = rates or command_notes(commands, plan.machine.rate_hz)  # the rate of a wrong unit says nothing
-    return (*offset_notes(streams, mounts, plan.machine), *unmatched(found, plan.rules), *rates, *omitted)
+    return (*offset_notes(plan.rules.streams, mounts, plan.machine), *unmatched(found, plan.rules), *rates, *omitted)
 
 
 def made_by(found: Sequence[RecordingFiles], plan: Plan, mounts: Mounts) -> PartRecord:
     """Provenance of the tables of an ingest."""
-    recipe = plan.rules.text if plan.rules is not None else ""
-    return PartRecord(INGEST_VERSION, recipe, settings_of(plan), shared_mounts(found, mounts))
+    return PartRecord(INGEST_VERSION, plan.rules.text, settings_of(plan), shared_mounts(found, mounts))
 
 
 #: Least cosine of the angle between an offset and the last link for which they count as parallel.
@@ -333,13 +360,7 @@ FASTER = 1.9
 
 
 def rate_notes(found: Sequence[RecordingFiles], readings: Mapping[str, ReadRecording], rate_hz: float) -> tuple[str, ...]:
-    """A note for each table without ``time_unit``, read in seconds, whose rate fits the machine's in another unit only.
-
-    Args:
-        found: the recordings with their files.
-        readings: recording → what was read.
-        rate_hz: rate of the machine [Hz].
-    """
+    """A note for each table without ``time_unit``, read in seconds, whose rate fits the machine's in another unit only."""
     notes = []
     for files in found:
         rates: dict[str, float] = {}
@@ -372,8 +393,7 @@ def command_notes(recordings: Iterable[Mapping[str, float]], rate_hz: float) -> 
     """A note for each log file whose commands come faster than the grid has rows: those between two rows act later.
 
     Args:
-        recordings: :func:`command_rates` of each.
-        rate_hz: rate of the machine [Hz].
+        recordings: :func:`command_rates` of each; ``rate_hz``: of the machine.
     """
     rates: dict[str, list[float]] = {}
     for own in recordings:

@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.chunked import Array, Rows
 from sysid.datasets.recipe import StillPhases
 from sysid.errors import InputError
 from sysid.signals import split_signal
-
-Array = npt.NDArray[np.float64]
 
 #: Samples further apart than this many periods belong to different bursts.
 BURST_PERIODS = 3.0
@@ -88,9 +86,7 @@ def _holds(channel: Channel, start_ns: int) -> tuple[Array, Array]:
     return begin, np.array([float(np.median(v[~np.isnan(v)])) if np.isfinite(v).any() else np.nan for v in values])
 
 
-def _score(
-    holds: Sequence[tuple[tuple[Array, Array], tuple[Array, Array], str]], offset: float
-) -> tuple[float, float, npt.NDArray[np.intp]]:
+def _score(holds: Sequence[tuple[tuple[Array, Array], tuple[Array, Array], str]], offset: float) -> tuple[float, float, Rows]:
     """Mean rank correlation, the offset refined to the matched holds, their rows (m, 2)."""
     (begin_x, _), (begin_y, _), _ = holds[0]
     tolerance = 0.25 * float(np.median(np.diff(begin_x)))
@@ -154,7 +150,7 @@ def still_phases(signals: Mapping[str, tuple[Array, Array]], rules: StillPhases,
     return phases
 
 
-def _ranges(values: Array, first: npt.NDArray[np.intp], last: npt.NDArray[np.intp], times: Array, period: float) -> Array:
+def _ranges(values: Array, first: Rows, last: Rows, times: Array, period: float) -> Array:
     """Largest minus smallest value within each window, which ends at gaps."""
     stretch = np.concatenate([[0], np.cumsum(np.diff(times) > BURST_PERIODS * period)])
     starts = np.searchsorted(stretch, stretch, side="left")

@@ -215,6 +215,10 @@ class IngestRecipe(Strict):
     text: str = ""
 
 
+#: Where none is given, so that the columns have canonical names; the only one without a text.
+NO_RECIPE = IngestRecipe(schema=1)
+
+
 def load_recipe(path: Path) -> IngestRecipe:
     """Read and check a recipe.
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.clock_record import ClockRecord as ClockRecord
+from sysid.datasets.chunked import Array
+from sysid.datasets.clocks import ClockRecord as ClockRecord
 from sysid.errors import InputError, StoreError, nearest
 from sysid.machine import Machine
 
@@ -44,7 +44,7 @@ class Recording:
     def signals(self) -> tuple[str, ...]:
         return tuple(str(column) for column in self.table.columns if column != "time")
 
-    def values(self, signal: str) -> npt.NDArray[np.float64]:
+    def values(self, signal: str) -> Array:
         """The signal as float64 (n,), read-only; all NaN where the recording does not have it."""
         found = self._arrays.get(signal)
         if found is None:
@@ -62,7 +62,7 @@ class Recording:
         return {}
 
     @functools.cached_property
-    def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
+    def _arrays(self) -> dict[str, Array]:
         """Plain arrays of signals, without a copy, because a fit accesses them thousands of times."""
         return {}
 
@@ -70,7 +70,7 @@ class Recording:
 _longest_missing = np.empty(0)
 
 
-def _missing(count: int) -> npt.NDArray[np.float64]:
+def _missing(count: int) -> Array:
     """An array (count,) of NaN, read-only: a part of the longest one, which all recordings share."""
     global _longest_missing
     if len(_longest_missing) < count:

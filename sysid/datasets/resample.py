@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel
-from sysid.datasets.chunked import copied, sosfiltfilt_in_place, stretches
-from sysid.scratch import PIECE, chosen, computed, filled, leave
-
-Array = npt.NDArray[np.float64]
+from sysid.datasets.chunked import Array, copied, sosfiltfilt_in_place, stretches
+from sysid.scratch import chosen, computed, filled, leave, pieces
 
 #: A gap is longer than this many sample periods of its source where the recipe gives no limit.
 GAP_PERIODS = 3.0
@@ -30,8 +27,7 @@ STOP_DB, SETTLE_PERIODS = 60.0, 16
 def grid(start_ns: int, end_ns: int, rate_hz: float) -> Array:
     """Times ``k/rate_hz`` [s] from 0 to the last one that does not pass ``end_ns``."""
     count = int(np.floor((end_ns - start_ns) * 1e-9 * rate_hz + LATE_SHARE)) + 1
-    times: Array = computed(max(count, 0), lambda first, last: np.arange(first, last) / rate_hz)
-    return times
+    return computed(max(count, 0), lambda first, last: np.arange(first, last) / rate_hz)
 
 
 def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -> Array:
@@ -48,8 +44,8 @@ def hold(times: Array, values: Array, at: Array, period: float, hold_s: float) -
     result: Array = filled(len(at), np.nan)
     if not len(times):
         return result
-    for begin in range(0, len(at), PIECE):
-        some, part = at[begin : begin + PIECE], result[begin : begin + PIECE]
+    for first, last in pieces(len(at)):
+        some, part = at[first:last], result[first:last]
         index = np.searchsorted(times, some + LATE_SHARE * period, side="right") - 1
         found = index >= 0
         found[found] = some[found] - times[index[found]] <= hold_s
@@ -80,8 +76,7 @@ def _interpolated(
     if len(times) < 2:
         return filled(count, np.nan)
     gradients = slopes(times, values, max_gap_s) if cubic and len(times) > 2 else None
-    result: Array = computed(count, lambda a, b: _between(times, values, gradients, instants(a, b), max_gap_s))
-    return result
+    return computed(count, lambda a, b: _between(times, values, gradients, instants(a, b), max_gap_s))
 
 
 def _between(times: Array, values: Array, gradients: Array | None, at: Array, max_gap_s: float) -> Array:
@@ -115,8 +110,7 @@ def slopes(times: Array, values: Array, max_gap_s: float) -> Array:
         begin, end = max(first - 1, 0), min(last + 1, len(times))  # a slope takes one sample on each side
         return _slopes(times[begin:end], values[begin:end], max_gap_s)[first - begin : last - begin]
 
-    result: Array = computed(len(times), piece)
-    return result
+    return computed(len(times), piece)
 
 
 def _slopes(times: Array, values: Array, max_gap_s: float) -> Array:

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.checks.roles import ENOUGH, LACKING, LEVELS, RoleNeeds, levels
-from sysid.datasets.chunked import Array
+from sysid.datasets.chunked import Array, Mask
 from sysid.datasets.recording import Role
 
 Choice = npt.NDArray[np.int64]
@@ -58,8 +58,8 @@ class Assignment:
     needs: RoleNeeds
     amounts: Array
     seconds: Array
-    allowed: npt.NDArray[np.bool_]
-    cuts: npt.NDArray[np.bool_]
+    allowed: Mask
+    cuts: Mask
     least_s: float
 
     def keys(self, amounts: Array, seconds: Array, cuts: Choice, changes: Choice) -> Array:
@@ -108,7 +108,7 @@ class Assignment:
         (*worst, cuts, total), (*before, uncut, sums) = self.key(found, present)[:4], self.key(present, present)[:4]
         return found if worst < before or (worst == before and cuts <= uncut and total < sums - 1.0 / LEVELS) else present
 
-    def _search(self, start: Choice, allowed: npt.NDArray[np.bool_], present: Choice | None = None) -> Choice | None:
+    def _search(self, start: Choice, allowed: Mask, present: Choice | None = None) -> Choice | None:
         """The best assignment with the ``allowed`` options; None where a recording has none."""
         if not allowed.any(axis=1).all():
             return None
@@ -119,7 +119,7 @@ class Assignment:
         found = [self._descent(choice, allowed, present) for choice in (begin, self._spread(allowed))]
         return min(found, key=lambda choice: self.key(choice, present))
 
-    def _exhaustive(self, allowed: npt.NDArray[np.bool_], present: Choice) -> Choice:
+    def _exhaustive(self, allowed: Mask, present: Choice) -> Choice:
         choices: Choice = np.zeros((1, 0), dtype=np.int64)
         amounts, seconds = np.zeros((1, *self.amounts.shape[2:])), np.zeros((1, self.seconds.shape[2]))
         for row, options in enumerate(map(np.flatnonzero, allowed)):
@@ -129,7 +129,7 @@ class Assignment:
         keys = self.keys(amounts, seconds, self.cuts[choices].sum(axis=1), np.sum(choices != present, axis=1))
         return np.asarray(choices[_smallest(keys)])
 
-    def _spread(self, allowed: npt.NDArray[np.bool_]) -> Choice:
+    def _spread(self, allowed: Mask) -> Choice:
         """Recordings one by one, those with most motion first, each where it lowers the objective most."""
         size = self.amounts.max(axis=1).sum(axis=(1, 2, 3))
         choice: Choice = np.argmax(allowed, axis=1)
@@ -142,7 +142,7 @@ class Assignment:
             choice[row], amounts, seconds = options[at], more[at], longer[at]
         return choice
 
-    def _descent(self, choice: Choice, allowed: npt.NDArray[np.bool_], present: Choice) -> Choice:
+    def _descent(self, choice: Choice, allowed: Mask, present: Choice) -> Choice:
         """Single changes, then exchanges of two recordings, as long as one lowers the objective."""
         key = self.key(choice, present)
         for _ in range(STEPS):
@@ -153,7 +153,7 @@ class Assignment:
             choice, key = better
         return choice
 
-    def _moves(self, choice: Choice, allowed: npt.NDArray[np.bool_]) -> Iterator[tuple[Choice, Choice]]:
+    def _moves(self, choice: Choice, allowed: Mask) -> Iterator[tuple[Choice, Choice]]:
         """Recordings that change their options, and these, (m, k) each: single ones, then pairs that exchange theirs."""
         rows, options = np.nonzero(allowed)
         other = options != choice[rows]

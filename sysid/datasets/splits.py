@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.checks.roles import MIN_ROLE_S, ROLES, RoleNeeds, cut_advice, least_cut_s
-from sysid.datasets.chunked import copied, deviation, known, masked, stretches
+from sysid.datasets.chunked import Array, Rows, copied, deviation, known, masked, stretches
 from sysid.datasets.quality.motion import MotionTable, motion_table
 from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Recording, Role
@@ -35,8 +34,8 @@ _COMPARED = 64
 class Measured:
     """The rows of a recording without its pauses, counted through: stretches of rows ``first`` … ``last`` − 1, each (k,)."""
 
-    first: npt.NDArray[np.intp]
-    last: npt.NDArray[np.intp]
+    first: Rows
+    last: Rows
     rate_hz: float
 
     @classmethod
@@ -61,15 +60,15 @@ class Measured:
         return len(self) / self.rate_hz
 
     @property
-    def pauses(self) -> npt.NDArray[np.intp]:
+    def pauses(self) -> Rows:
         """Numbers of the measured rows that follow a pause."""
         return np.cumsum(self.last - self.first)[:-1]
 
-    def rows(self, numbers: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    def rows(self, numbers: Rows) -> Rows:
         """Rows of the recording; the number after the last one is the row after it."""
         starts = np.concatenate([[0], self.pauses])
         stretch = np.searchsorted(starts, numbers, side="right") - 1
-        result: npt.NDArray[np.intp] = self.first[stretch] + numbers - starts[stretch]
+        result: Rows = self.first[stretch] + numbers - starts[stretch]
         return result
 
     def between(self, begin: int, end: int) -> list[tuple[int, int]]:
@@ -159,7 +158,8 @@ def copies_of(recordings: Sequence[Recording]) -> dict[str, str]:
         some = tuple(values[::step].tobytes() for values in measured)
         alike = seen.setdefault((len(recording), recording.signals, some), [])
         for other in alike:
-            if all(_equal(recording.values(signal), other.values(signal)) for signal in recording.signals):
+            pairs = [(recording.values(signal), other.values(signal)) for signal in recording.signals]
+            if all(np.array_equal(one[a:b], two[a:b], equal_nan=True) for one, two in pairs for a, b in pieces(len(one))):
                 found[recording.name] = other.name
                 break
         else:
@@ -174,13 +174,9 @@ def copy_notes(recordings: Sequence[Recording]) -> tuple[str, ...]:
     )
 
 
-def _varies(values: npt.NDArray[np.float64]) -> bool:
+def _varies(values: Array) -> bool:
     there = known(values)
     return len(there) > 0 and bool(there.min() < there.max())
-
-
-def _equal(one: npt.NDArray[np.float64], other: npt.NDArray[np.float64]) -> bool:
-    return all(np.array_equal(one[a:b], other[a:b], equal_nan=True) for a, b in pieces(len(one)))
 
 
 def _assigned(
@@ -345,19 +341,15 @@ def rows_of(recording: Recording, name: str, first: int, last: int) -> Recording
     table = recording.table.iloc[first:last].reset_index(drop=True)
     table["time"] = computed(len(table), lambda a, b: np.arange(a, b) / recording.rate_hz)
     table.attrs = dict(recording.table.attrs)
-    return Recording(name, table, recording.rate_hz, recording.kind, start_of(recording, first))
+    start_ns = recording.start_ns + round(first / recording.rate_hz * 1e9)
+    return Recording(name, table, recording.rate_hz, recording.kind, start_ns)
 
 
-def start_of(recording: Recording, first: int) -> int:
-    """Stamp of a row on the grid of a recording [ns]."""
-    return recording.start_ns + round(first / recording.rate_hz * 1e9)
-
-
-def _motion(recording: Recording) -> npt.NDArray[np.float64]:
+def _motion(recording: Recording) -> Array:
     """Change of the measured signals around each row, each relative to its spread; large beside gaps, (rows,)."""
     width = max(int(0.25 * recording.rate_hz), 1)
     rows = len(recording)
-    motion: npt.NDArray[np.float64] = filled(rows, 0.0)
+    motion: Array = filled(rows, 0.0)
     for signal in recording.signals:
         values = recording.values(signal)
         there = known(values)
@@ -372,7 +364,7 @@ def _motion(recording: Recording) -> npt.NDArray[np.float64]:
     return motion
 
 
-def _bridged(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _bridged(values: Array) -> Array:
     """A signal (n,) with missing values interpolated linearly; itself where nothing is missing."""
     missing = np.isnan(values)
     first, last = stretches(missing)
@@ -381,6 +373,6 @@ def _bridged(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     ends = np.concatenate([first - 1, last])
     ends = np.unique(ends[(ends >= 0) & (ends < len(values))])
     rows = np.flatnonzero(missing)
-    result: npt.NDArray[np.float64] = copied(values)
+    result: Array = copied(values)
     result[rows] = np.interp(rows, ends, values[ends])
     return result

@@ -10,13 +10,13 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import stored_channels
+from sysid.datasets.chunked import Array
 from sysid.datasets.clocks.records import by_source, machine_times
 from sysid.datasets.resample import LATE_SHARE
 from sysid.datasets.versions.store import Store
 from sysid.errors import StoreError, nearest
 from sysid.names import uncut_name
 
-Array = npt.NDArray[np.float64]
 States = npt.NDArray[np.int8]
 
 STATES = ("missing", "measured", "bridged", "held")
@@ -38,7 +38,6 @@ def states(values: Array, at: Array, times: Array, rate_hz: float, command: bool
         values: the signal in the table, (n,).
         at: instants of the table, (n,) [s].
         times: of known values of the source, increasing, (m,) [s], same origin.
-        rate_hz: of the table.
     """
     result = np.full(len(values), MEASURED, dtype=np.int8)
     if len(times):

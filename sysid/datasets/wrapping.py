@@ -14,12 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
-from sysid.datasets.checks.flag import with_unit
+from sysid.datasets.checks.finding import with_unit
 from sysid.datasets.checks.sensors import AROUND, GAP_PERIODS, STEPS_OF_SENSOR, sensor_step
-from sysid.datasets.chunked import counted, differences, known, masked, median_step
+from sysid.datasets.chunked import Array, Mask, Rows, counted, differences, known, masked, median_step
 from sysid.datasets.recipe import SignalMap
 from sysid.errors import InputError
 from sysid.machine import Machine
@@ -27,8 +26,6 @@ from sysid.names import listed
 from sysid.scratch import computed
 from sysid.signals import axis_signal, split_signal
 from sysid.units import si_factor
-
-Array = npt.NDArray[np.float64]
 
 #: Names of one turn; a wrong unit in the recipe does not hide that the numbers wrap.
 TURN = ("rad", "deg", "turn")
@@ -102,7 +99,7 @@ def find_wraps(times: Array, values: Array, modulus: float) -> Wraps | None:
     return Wraps(modulus, count, end) if count > max(others, len(rows) - count) else None
 
 
-def _continues(rows: npt.NDArray[np.intp], motion: Array, spans: Array, modulus: float, floor: float) -> npt.NDArray[np.bool_]:
+def _continues(rows: Rows, motion: Array, spans: Array, modulus: float, floor: float) -> Mask:
     """Whether the motion in each of ``rows`` is like that of the well-sampled steps beside it, (m,)."""
     sides = np.concatenate([np.arange(-AROUND, 0), np.arange(1, AROUND + 1)])
     beside = rows[:, None] + sides
@@ -141,7 +138,7 @@ def unwrapped(times: Array, values: Array, modulus: float) -> Array:
     return result
 
 
-def open_gaps(times: Array, values: Array, modulus: float) -> npt.NDArray[np.intp]:
+def open_gaps(times: Array, values: Array, modulus: float) -> Rows:
     """The rows before gaps in which an unwrapped position (n,) without NaN may have made several numbers of turns.
 
     The motion in a gap is predicted as :func:`unwrapped` does it. The same prediction where samples are there shows how far
@@ -172,7 +169,7 @@ def open_gaps(times: Array, values: Array, modulus: float) -> npt.NDArray[np.int
     return rows[open_]
 
 
-def _predicted(speeds: Array, spans: Array, gaps: npt.NDArray[np.intp]) -> Array:
+def _predicted(speeds: Array, spans: Array, gaps: Rows) -> Array:
     """The motion in the steps ``gaps`` at the mean of the speeds on both sides."""
     before, after = np.maximum(gaps - 1, 0), np.minimum(gaps + 1, len(speeds) - 1)
     return np.asarray(0.5 * (speeds[before] + speeds[after]) * spans[gaps])
@@ -255,7 +252,7 @@ def _moduli(channel: Channel, mapping: SignalMap, per_raw: float) -> list[float]
     return sorted(set(moduli))
 
 
-def _whole(values: Array, mapping: SignalMap, per_raw: float) -> npt.NDArray[np.bool_]:
+def _whole(values: Array, mapping: SignalMap, per_raw: float) -> Mask:
     counts = (values - mapping.offset) / per_raw + mapping.zero
     return np.asarray(np.abs(counts - np.round(counts)) < 1e-3)
 

@@ -16,9 +16,10 @@ from typing import Any, Literal
 
 from sysid.config import Strict
 from sysid.datasets.plan import Plan, content_of
+from sysid.datasets.versions.append import plan_on
 from sysid.datasets.versions.manifest import contents_of, digest_of
 from sysid.datasets.versions.store import Store
-from sysid.datasets.versions.update import Update, plan_of_arrivals, update
+from sysid.datasets.versions.update import Update, update
 from sysid.errors import InputError, SettingsError, StoreError
 from sysid.foreign import visible
 from sysid.logs.readers import is_log
@@ -212,7 +213,7 @@ def _all(folders: Sequence[Path], manifest: dict[str, Any]) -> tuple[list[_Look]
     for folder in folders:
         if not folder.is_dir():
             raise InputError(folder, "no such folder", "the log folder of a runner", "Check the path.")
-        plan = plan_of_arrivals(manifest, folder.resolve())
+        plan = plan_on(manifest, [folder.resolve()])
         place = _Folder(plan, digest_of({"sysid": __version__, **content_of((), plan.rules)}))
         try:
             entries = Root(place.path).entries("")

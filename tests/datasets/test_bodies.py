@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from sysid.datasets.channel import Channel
 from sysid.datasets.channels import read_streams
-from sysid.datasets.frames.bodies import CaptureSignal, find_mounts, joints_and_points, without_mistakes
+from sysid.datasets.frames.bodies import find_mounts, joints_and_points, without_mistakes
 from sysid.datasets.frames.rigid import body_poses, frame_pose, inverse, mean_pose, poses_at
 from sysid.datasets.recipe import FramePose, PointMap, Reference, SignalMap, StreamMap
 from sysid.errors import InputError, SettingsError
@@ -59,7 +60,7 @@ def capture(machine: Machine, q: Array, rng: np.random.Generator, frame: FramePo
     return [stream(body, to_capture @ links[link] @ random_pose(rng)) for body, link in BODIES.items()]
 
 
-def values_of(seen: list[CaptureSignal]) -> dict[str, Array]:
+def values_of(seen: list[Channel]) -> dict[str, Array]:
     return {item.signal: item.values for item in seen}
 
 

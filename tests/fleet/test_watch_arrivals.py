@@ -460,7 +460,7 @@ def test_a_call_that_is_killed_at_any_write_is_continued(lift: Watched, named: N
 
         with monkeypatch.context() as patch:
             patch.setattr(watching, "_keep", counted(watching._keep))
-            patch.setattr(Store, "extend", counted(Store.extend))
+            patch.setattr(Store, "append", counted(Store.append))
             try:
                 watch(lift.workspace, "lift-1", [lift.logs], quiet_s=0.0)
             except Killed:

@@ -19,6 +19,7 @@ from small_logs import write_log
 
 from sysid.confined import confined
 from sysid.datasets.discover import discover
+from sysid.datasets.recipe import NO_RECIPE
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, reader_for, reader_named
 from sysid.logs.inspection import inspect_file
@@ -183,4 +184,4 @@ def test_what_is_no_file_is_not_opened(suffix: str, tmp_path: Path) -> None:
             reader_for(path).read(path, ReadOptions())
         assert what in inspect_file(path).refusal
         with pytest.raises(InputError, match=rf"{path.name}: {what}; expected a log file or a folder of recordings"):
-            discover([path], None)
+            discover([path], NO_RECIPE)

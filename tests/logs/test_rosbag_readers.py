@@ -22,6 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from sysid.datasets.discover import discover
 from sysid.datasets.plan import sources_of
+from sysid.datasets.recipe import NO_RECIPE
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream
 from sysid.logs.limits import Budget
@@ -262,7 +263,7 @@ def test_an_interrupted_transaction_is_refused_with_a_remedy_that_works(tmp_path
 
 def test_the_write_ahead_log_is_part_of_the_content(tmp_path: Path) -> None:
     path = recorder_killed(tmp_path / "bag", "WAL", 100, 300)
-    (found,) = discover([path.parent], None)
+    (found,) = discover([path.parent], NO_RECIPE)
     assert {source.path for source in sources_of([found])} == {"killed/bag_0.db3", "killed/bag_0.db3-wal"}
     Path(f"{path}-wal").write_bytes(b"")
     with pytest.raises(InputError, match=r"bag_0\.db3-wal: written while it was read"):

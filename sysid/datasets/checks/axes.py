@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from sysid.datasets.checks.figures import AxisFigures, CheckContext
-from sysid.datasets.checks.finding import Cause, Evidence, Finding, Severity, value
+from sysid.datasets.checks.finding import Cause, Evidence, Finding, Severity, with_unit
 from sysid.datasets.checks.measures import LEAST_STRENGTH, Measure, measures_of
 from sysid.datasets.checks.mistakes import Explanation, explanations_of
 
@@ -38,7 +38,7 @@ def check_gains(data: CheckContext) -> Iterator[Finding]:
         if usual == 0.0 or 1.0 / FAR <= usual / axis.gain <= FAR or data.time_scale != 1.0:
             continue
         unit = f"{whole.driven_unit}/s" if whole.driven_unit else "1/s"
-        evidence = Evidence(f"{axis.driven} moves at about {value(usual, unit)} at full command", f"gain = {axis.gain:g}")
+        evidence = Evidence(f"{axis.driven} moves at about {with_unit(usual, unit)} at full command", f"gain = {axis.gain:g}")
         remedy = f'Write `gain = {usual:.3g}` and `estimated = ["gain"]`: then its exact value is found with the effects'
         cause = Cause("`gain` in machine.toml of axis", (name,), "left out, or an estimate", remedy=remedy)
         severity: Severity = "notice" if 1.0 / HIDES <= usual / axis.gain <= HIDES else "severe"

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid.datasets.checks.figures import AxisFigures, CheckContext
-from sysid.datasets.checks.finding import Cause, Evidence, Finding, exchanged_columns, interval, value
+from sysid.datasets.checks.finding import Cause, Evidence, Finding, exchanged_columns, interval, with_unit
 from sysid.datasets.checks.measures import cost_of
 from sysid.datasets.chunked import Array, Mask, copied, known, longest_run, masked, stretches
 from sysid.datasets.quality.noise import table_noise
@@ -292,8 +292,8 @@ def check_end_stops(data: CheckContext) -> Iterator[Finding]:
         name = "stroke" if axis.drives == "cylinder" else "limits"
         evidence = tuple(
             Evidence(
-                f"{axis.driven} stays at {value(stop.place, unit)} {stop.visits} times, {stop.seconds:.1f} s in all, although "
-                f"{axis.name}.command pushes it further",
+                f"{axis.driven} stays at {with_unit(stop.place, unit)} {stop.visits} times, {stop.seconds:.1f} s in all, "
+                f"although {axis.name}.command pushes it further",
                 f"motion up to {name} = {interval(low, high, unit)}",
             )
             for stop in inside.values()

@@ -164,13 +164,14 @@ def factor_text(factor: float) -> str:
     return f"too {'large' if factor >= 1.0 else 'small'} by a factor of {size}"
 
 
-def value(number: float, unit: str | None = None) -> str:
+def with_unit(number: float | str, unit: str | None = None) -> str:
     """A value in SI, with four significant digits."""
-    return f"{number:.4g} {unit}" if unit and unit != "1" else f"{number:.4g}"
+    text = number if isinstance(number, str) else f"{number:.4g}"
+    return f"{text} {unit}" if unit and unit != "1" else text
 
 
 def interval(low: float, high: float, unit: str | None = None) -> str:
-    return f"[{low:.4g}, {high:.4g}] {unit}" if unit and unit != "1" else f"[{low:.4g}, {high:.4g}]"
+    return with_unit(f"[{low:.4g}, {high:.4g}]", unit)
 
 
 def ratio_text(ratio: float) -> str:

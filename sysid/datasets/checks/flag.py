@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.chunked import Array, Mask, copied, counted, differences, median
+from sysid.datasets.chunked import Array, Mask, Stamps, copied, counted, differences, median
 from sysid.machine import Machine
 from sysid.scratch import chosen
 from sysid.signals import split_signal
@@ -83,11 +82,6 @@ def merged(flags: Sequence[Flag]) -> list[Flag]:
     return [replace(flags[0], to_s=max(flag.to_s for flag in flags), samples=samples, text=text)]
 
 
-def with_unit(value: float, unit: str) -> str:
-    """A value with its unit, for texts."""
-    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
-
-
 def ends_of(signal: str, machine: Machine) -> tuple[float, float]:
     """Range of the axis that ``signal`` measures, in SI; infinite where it is not known."""
     owner, kind = split_signal(signal)
@@ -104,7 +98,7 @@ def ends_of(signal: str, machine: Machine) -> tuple[float, float]:
 LEAST, LEAST_OTHERS = 3, 10
 
 
-def sentinels(signal: str, raw: Array, values: Array, stamps: npt.NDArray[np.int64], ends: tuple[float, float]) -> list[Flag]:
+def sentinels(signal: str, raw: Array, values: Array, stamps: Stamps, ends: tuple[float, float]) -> list[Flag]:
     """The numbers of a measured signal that are no measurement, a flag each; seconds count from the first stamp.
 
     Such a number is the lowest or highest, recurs exactly, lies further from all others than they lie apart and than they lie
@@ -157,7 +151,7 @@ def _range(values: Array, mask: Mask) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def repaired_stamps(signal: str, stamps: npt.NDArray[np.int64]) -> list[Flag]:
+def repaired_stamps(signal: str, stamps: Stamps) -> list[Flag]:
     """Stamps that go back or repeat, as one flag; seconds count from the earliest of ``stamps`` (n,) [ns], as in the file."""
     steps = np.diff(stamps)
     back = np.flatnonzero(steps < 0)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.datasets.checks.figures import AxisFigures, SignalRange
-from sysid.datasets.checks.finding import Evidence, interval, plain, ratio_text, value
+from sysid.datasets.checks.finding import Evidence, interval, plain, ratio_text, with_unit
 from sysid.datasets.quality.responses import Response
 
 Limits = tuple[float, float]
@@ -140,13 +140,13 @@ def _response_evidence(figures: AxisFigures, response: Response) -> Evidence:
     ratio = abs(figures.ratio or 1.0)
     if axis.actuation == "velocity":
         unit = f"{place}/s" if place else "1/s"
-        found = f"{axis.driven} moves at {value(abs(response.value), unit)} at full command"
+        found = f"{axis.driven} moves at {with_unit(abs(response.value), unit)} at full command"
         if "gain" in axis.estimated:
-            return Evidence(found, f"about {value(figures.expected, unit)} as in the other recordings")
+            return Evidence(found, f"about {with_unit(figures.expected, unit)} as in the other recordings")
         return Evidence(f"{found}, {ratio_text(ratio)} `gain`", f"about gain = {axis.gain:g}")
     if axis.follows_positions:
         return Evidence(f"{axis.driven} moves by {plain(ratio)} where {figures.signal('command')} moves by 1", "about 1")
-    mass = value(abs(response.value), "kg" if place == "m" else None)
+    mass = with_unit(abs(response.value), "kg" if place == "m" else None)
     found = f"{axis.driven} accelerates as a mass or inertia of {mass} would, {ratio_text(ratio)} `inertia`"
     return Evidence(found, f"about {axis.inertia:g}")
 
@@ -162,7 +162,7 @@ def _reach(
     def evidence() -> Evidence:
         unit = figures.unit if quantity == "joint" else figures.driven_unit
         name = "stroke" if figures.axis.drives == "cylinder" and quantity == "driven" else "limits"
-        found = f"{figures.signal(quantity)} runs from {span.low:.4g} to {value(span.high, unit)}"
+        found = f"{figures.signal(quantity)} runs from {span.low:.4g} to {with_unit(span.high, unit)}"
         return Evidence(found, f"{name} = {interval(*ends, unit)}")
 
     beyond = max(ends[0] - span.low, span.high - ends[1]) / width
@@ -232,7 +232,7 @@ def _size(figures: AxisFigures, key: str, size: float) -> Iterator[Measure]:
             text, usual = interval(*figures.ends, unit), f"a width between {low} and {high} {unit}"
             name = "stroke" if axis.drives == "cylinder" else "limits"
         else:
-            name, text, usual = "gain", value(axis.gain, f"{unit}/s"), f"{low} to {high} {unit}/s"
+            name, text, usual = "gain", with_unit(axis.gain, f"{unit}/s"), f"{low} to {high} {unit}/s"
         return Evidence(f"{name} = {text} of axis {axis.name} in machine.toml", usual)
 
     yield Measure("description", key, math.log(size), *limits, evidence)

@@ -8,9 +8,9 @@ and not stored, so that they hold for versions of any age and for changed roles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,60 +29,35 @@ from sysid.progress import Progress, silent
 from sysid.scratch import computed, leave, pieces
 from sysid.signals import split_signal
 
-Subject = TypeVar("Subject")
-Statement = TypeVar("Statement")
-
-
-@dataclass(frozen=True)
-class Check(Generic[Subject, Statement]):
-    """One check.
-
-    Args:
-        compares: what with what.
-        kinds: of its flags; of its findings the ends of their keys; none where it returns texts.
-        find: what it says; a finding names the cause and what to change.
-    """
-
-    compares: str
-    kinds: tuple[str, ...]
-    find: Callable[[Subject], Iterable[Statement]]
-
-
 #: Kinds of flags, in the order in which they are stored. ``sentinel`` and ``stamps`` are found in the rows of the file, and
 #: ``marker_swap`` in the frames of rigid bodies; the rest by the checks of a channel.
 KINDS = ("sentinel", "outlier", "jump", "marker_swap", "stuck", "saturation", "dropout", "jitter", "stamps")
-#: Of a channel with a measured signal.
-SENSOR_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
-    Check("a few samples with those around", ("outlier",), sensors.outliers),
-    Check("a step with those around", ("jump",), sensors.jumps),
-    Check("equal values with the commands and the ends of the axis", ("stuck", "saturation"), sensors.constant_values),
-)
-#: Of every channel.
-CHANNEL_CHECKS: tuple[Check[SignalSamples, Flag], ...] = (
-    Check("intervals with the longest that is bridged", ("dropout",), flag.dropouts),
-    Check("intervals with their median", ("jitter",), flag.jitter),
-)
-#: Of the table of a recording.
-RECORDING_CHECKS: tuple[Check[columns.RecordingTable, str], ...] = (
-    Check("columns with no value", (), columns.empty_columns),
-    Check("positions with the commands and the range of the axis", (), columns.implausible_positions),
-)
+ChannelChecks = Mapping[Callable[[SignalSamples], list[Flag]], tuple[str, ...]]
+#: Of every channel, and of one with a measured signal: check → kinds of its flags.
+CHANNEL_CHECKS: ChannelChecks = {flag.dropouts: ("dropout",), flag.jitter: ("jitter",)}
+SENSOR_CHECKS: ChannelChecks = {
+    sensors.outliers: ("outlier",),
+    sensors.jumps: ("jump",),
+    sensors.constant_values: ("stuck", "saturation"),
+    **CHANNEL_CHECKS,
+}
 _OF_AXIS = ("range", "response", "sign", "linkage", "description")
-#: Of a dataset, in the order in which they run: what one finds, those below take into account.
-DATASET_CHECKS: tuple[Check[CheckContext, Finding], ...] = (
-    Check("sample rates with `rate_hz`; lengths of the recordings", ("rate", "length"), streams.check_stamps),
-    Check("speeds with a `gain` that nobody states", ("gain",), axes.check_gains),
-    Check("positions with a whole turn", ("wrap",), columns.check_wraps),
-    Check("numbers in the files with all others", ("sentinel",), streams.check_sentinels),
-    Check("each motion with the commands of all axes", ("exchanged",), columns.check_exchanges),
-    Check("the figures of an axis with its description", _OF_AXIS, axes.check_axes),
-    Check("the figures in one recording with the others", _OF_AXIS, axes.check_recordings),
-    Check("ee with the joints; tool with ee", ("scale", "sign", "axes", "frame", "kinematics"), points.check_points),
-    Check("columns with the commands", ("missing", "constant", "noise"), columns.check_columns),
-    Check("samples in the dataset with those in the files", ("samples",), streams.check_samples),
-    Check("places where an axis stops with its limits", ("end_stop",), columns.check_end_stops),
-    Check("motion in each role with that in all", (roles.STILL,), roles.check_roles),
-)
+#: Of a dataset, in the order in which they run: check → ends of the keys of its findings. What one finds, those below take into
+#: account.
+DATASET_CHECKS: Mapping[Callable[[CheckContext], Iterable[Finding]], tuple[str, ...]] = {
+    streams.check_stamps: ("rate", "length"),
+    axes.check_gains: ("gain",),
+    columns.check_wraps: ("wrap",),
+    streams.check_sentinels: ("sentinel",),
+    columns.check_exchanges: ("exchanged",),
+    axes.check_axes: _OF_AXIS,
+    axes.check_recordings: _OF_AXIS,
+    points.check_points: ("scale", "sign", "axes", "frame", "kinematics"),
+    columns.check_columns: ("missing", "constant", "noise"),
+    streams.check_samples: ("samples",),
+    columns.check_end_stops: ("end_stop",),
+    roles.check_roles: (roles.STILL,),
+}
 
 
 def check_plausibility(dataset: Dataset) -> tuple[Finding, ...]:
@@ -92,14 +67,14 @@ def check_plausibility(dataset: Dataset) -> tuple[Finding, ...]:
     """
     context, found = CheckContext(dataset), list[Finding]()
     for check in DATASET_CHECKS:
-        found += check.find(context)
+        found += check(context)
         leave()
     return tuple(sorted(found, key=lambda finding: finding.severity != "severe"))
 
 
 def recording_flags(table: columns.RecordingTable) -> list[str]:
     """Possible faults in the table of a recording, as texts."""
-    return [text for check in RECORDING_CHECKS for text in check.find(table)]
+    return [*columns.empty_columns(table), *columns.implausible_positions(table)]
 
 
 #: Shares of the largest command above which an axis is commanded, and above which it moves with certainty.
@@ -121,7 +96,6 @@ def flag_rows(
     within one is missing in its row.
 
     Args:
-        machine: gives the axes and their ends.
         hold_s: longest hold of a command [s].
         progress: called with the share of the samples that have been checked.
     """
@@ -143,7 +117,7 @@ def flag_rows(
         else:
             swaps = [flag for flag in flags if flag.kind == "marker_swap"]
             samples, checks = _samples(channel, at, commands, machine, hold_s)
-            more = [flag for check in checks for flag in check.find(samples)]
+            more = [flag for check in checks for flag in check(samples)]
             flags += [flag for flag in more if not _is_swap(flag, swaps, channel.period_s)]
             leave()
         found += [(channel.source, flag) for flag in flags]
@@ -170,14 +144,14 @@ def _is_swap(flag: Flag, swaps: Sequence[Flag], period: float) -> bool:
 
 def _samples(
     channel: Channel, at: Array, commands: Sequence[tuple[Channel, Array]], machine: Machine, hold_s: float
-) -> tuple[SignalSamples, tuple[Check[SignalSamples, Flag], ...]]:
+) -> tuple[SignalSamples, ChannelChecks]:
     """The samples of a channel, at these times of the recording [s], and the checks that look at them."""
     signal, values, unit = channel.signal, channel.values, channel.unit
     if signal.endswith(".command"):
         return SignalSamples(signal, at, values, unit, hold_s), CHANNEL_CHECKS
     commanded, driven = _commanded(signal, at, commands, machine, hold_s)
     limit, ends = gap_limit(channel), ends_of(signal, machine)
-    return SignalSamples(signal, at, values, unit, limit, commanded, driven, ends), (*SENSOR_CHECKS, *CHANNEL_CHECKS)
+    return SignalSamples(signal, at, values, unit, limit, commanded, driven, ends), SENSOR_CHECKS
 
 
 def _commanded(

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sysid.datasets.checks.flag import Flag, SignalSamples, merged, with_unit
+from sysid.datasets.checks.finding import with_unit
+from sysid.datasets.checks.flag import Flag, SignalSamples, merged
 from sysid.datasets.chunked import Array, Mask, Rows, absolute, counted, differences, masked, median, median_step, stretches
 from sysid.scratch import chosen, computed, pieces
 from sysid.signals import split_signal

@@ -24,9 +24,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.chunked import Array
 from sysid.datasets.clocks.coarse import Pair, coarse_lag
 from sysid.datasets.clocks.estimate import BLOCK_S, Backlash, Blocks, Estimate, conditional, estimate_of, is_singular
 from sysid.datasets.clocks.measured_motion import moves, range_of, smoothed, turning_rows
@@ -35,7 +35,6 @@ from sysid.signals import split_signal
 
 __all__ = ["BLOCK_S", "Blocks", "Estimate", "Pair", "conditional", "estimate", "pairs_of"]
 
-Array = npt.NDArray[np.float64]
 
 #: Degree of the polynomial map of a pair: a sensor's error curve, a linkage.
 DEGREE_SAME, DEGREE_LINKAGE = 7, 9

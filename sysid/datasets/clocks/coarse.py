@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.chunked import median_step
+from sysid.datasets.chunked import Array, median_step
 from sysid.datasets.resample import interpolate
 from sysid.scratch import chosen
-
-Array = npt.NDArray[np.float64]
 
 #: Least correlation of the rates, and largest correlation at another lag relative to the best.
 MIN_CORRELATION, MAX_ALTERNATIVE = 0.5, 0.85

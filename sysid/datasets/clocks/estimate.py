@@ -16,11 +16,11 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import Array
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.motion_fit import FitSums
 from sysid.datasets.recording import ClockRecord
 
-Array = npt.NDArray[np.float64]
 Time = TypeVar("Time", float, Array)
 
 #: Length over which residuals may be correlated [s].
@@ -125,7 +125,7 @@ def estimate_of(
     normal = np.sum([s.curvature for s in sums], axis=0)
     if is_singular(normal):
         return Estimate(refused="too little motion is measured on both clocks")
-    numbers, scores, weight, squares, counts, information = summed_blocks(sums)
+    numbers, scores, weight, squares, information, counts = summed_blocks(sums)
     count = len(numbers)
     if count < 4:
         return Estimate(refused=f"only {count} blocks of {BLOCK_S:g} s overlap: too short for an interval")
@@ -141,17 +141,11 @@ def estimate_of(
 
 
 def summed_blocks(sums: Sequence[FitSums]) -> tuple[npt.NDArray[np.int64], Array, Array, Array, Array, Array]:
-    """Numbers of all blocks, and sums over the pairs: scores (b, 2), weight, squares, counts, information (b,)."""
-    numbers = np.unique(np.concatenate([s.blocks for s in sums]))
-    scores, weight, squares, counts, information = (np.zeros((len(numbers), *shape)) for shape in ((2,), (), (), (), ()))
-    for s in sums:
-        row = np.searchsorted(numbers, s.blocks)
-        scores[row] += s.block_scores
-        weight[row] += s.block_weight
-        squares[row] += s.block_squares
-        counts[row] += s.block_counts
-        information[row] += s.block_information
-    return numbers, scores, weight, squares, counts, information
+    """Numbers of all blocks, and sums over the pairs: scores (b, 2), weight, squares, information, counts (b,)."""
+    numbers, rows = np.unique(np.concatenate([s.blocks for s in sums]), return_inverse=True)
+    table = np.zeros((len(numbers), 6))
+    np.add.at(table, rows, np.concatenate([s.block_sums for s in sums]))
+    return numbers, table[:, :2], table[:, 2], table[:, 3], table[:, 4], table[:, 5]
 
 
 def _covariance(

@@ -15,14 +15,11 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.chunked import known, median_step
+from sysid.datasets.chunked import Array, Mask, Rows, known, median_step
 from sysid.datasets.clocks.coarse import Pair, noise_of
 from sysid.datasets.resample import low_pass
 from sysid.scratch import chosen
-
-Array = npt.NDArray[np.float64]
 
 #: Length of a section [s], power relative to noise at which the band of the motion ends, margin, least band [Hz].
 BAND_S, BAND_RATIO, BAND_MARGIN, LOWEST_BAND_HZ = 20.0, 3.0, 1.5, 0.5
@@ -90,10 +87,6 @@ def motion_band(values: Array, rate: float) -> float:
     above = np.flatnonzero(smooth > BAND_RATIO * floor)
     top = float(frequencies[above[-1]]) if len(above) else 0.0
     return max(BAND_MARGIN * top, LOWEST_BAND_HZ)
-
-
-Mask = npt.NDArray[np.bool_]
-Rows = npt.NDArray[np.intp]
 
 
 def directions(values: Array, width: float, tremor: float = 0.0) -> tuple[Array, Mask]:

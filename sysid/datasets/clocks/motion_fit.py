@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import Array, Mask
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.measured_motion import directions, range_of, without_noise
 from sysid.datasets.resample import slopes
 from sysid.scratch import chosen
-
-Array = npt.NDArray[np.float64]
 
 #: Samples that are processed at a time, so that their data stay in the cache of a core.
 CHUNK = 8192
@@ -43,8 +42,8 @@ class PreparedPair:
     degree: int
     x_gap_s: float
     direction: Array
-    settled: npt.NDArray[np.bool_]
-    y_settled: npt.NDArray[np.bool_]
+    settled: Mask
+    y_settled: Mask
 
     @property
     def branches(self) -> int:
@@ -63,7 +62,7 @@ def prepared(pair: Pair) -> PreparedPair:
     return PreparedPair(times, values, rates, pair.y_times, pair.y, pair.degree, pair.x_gap_s, direction, settled, y_settled)
 
 
-def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def _taken_up(pair: Pair, x: Array, rates: Array) -> tuple[Array, Mask, Mask]:
     """Direction of x (n,), and the samples of x and of y with the backlash taken up; either signal may be behind it.
 
     Samples at rest are not used: they carry no information about the offset, and a motion back may be hidden in their noise.
@@ -81,9 +80,9 @@ class FitSums:
 
     ``normal`` (2, 2) and ``score`` (2,) are of (offset, skew); ``curvature`` (2, 2) is the derivative of the score, smaller
     than ``normal`` because weights fall where residuals grow; ``white`` (2, 2) is the covariance of the score for uncorrelated
-    residuals; ``block_*`` belong to the numbered ``blocks`` (b,): ``block_weight`` is the information of a block about the
-    offset with a known map, ``block_information`` with an unknown one. ``intercept`` is half of the difference of the map
-    between the two directions in the middle of the motion, and its standard error; NaN without backlash.
+    residuals; ``block_sums`` (b, 6) are those of the numbered ``blocks`` (b,): scores of offset and skew, information about the
+    offset with a known map, squares, information with an unknown one, number of samples. ``intercept`` is half of the
+    difference of the map between the two directions in the middle of the motion, and its standard error; NaN without backlash.
     """
 
     normal: Array
@@ -94,11 +93,7 @@ class FitSums:
     weighted_squares: float
     explained: float
     blocks: npt.NDArray[np.int64]
-    block_scores: Array
-    block_weight: Array
-    block_squares: Array
-    block_counts: Array
-    block_information: Array
+    block_sums: Array
     intercept: tuple[float, float] = (float("nan"), float("nan"))
 
 
@@ -208,7 +203,9 @@ class PairFit:
         noise = self.scale**2
         variance = max(sum_y2 / count - (sum_y / count) ** 2, 1e-30)
         blocks, table = _merged(parts) if parts else (np.zeros(0, np.int64), np.zeros((0, size + 6)))
-        scores = (table[:, size : size + 2] - table[:, :size] @ projection) / noise
+        sums = table[:, size:].copy()
+        sums[:, :2] -= table[:, :size] @ projection
+        sums[:, :5] /= noise
         return FitSums(
             normal=normal / noise,
             score=score / noise,
@@ -218,11 +215,7 @@ class PairFit:
             weighted_squares=plain / noise,
             explained=1.0 - plain / weights / variance,
             blocks=blocks,
-            block_scores=scores,
-            block_weight=table[:, size + 2] / noise,
-            block_squares=table[:, size + 3] / noise,
-            block_information=table[:, size + 4] / noise,
-            block_counts=table[:, size + 5],
+            block_sums=sums,
             intercept=self._intercept(matrix, table, noise * robust / noise / weights)
             if self.pair.branches
             else (np.nan, np.nan),
@@ -309,7 +302,7 @@ class PairFit:
             elif known.any():
                 yield times[known], y[known], x[known], rate[known], direction[known]
 
-    def _x(self, at: Array) -> tuple[Array, Array, npt.NDArray[np.bool_], Array]:
+    def _x(self, at: Array) -> tuple[Array, Array, Mask, Array]:
         """Cubic Hermite interpolation of x: values, rates, mask of known and settled samples, and directions."""
         p = self.pair
         right = np.searchsorted(p.x_times, at, side="right")

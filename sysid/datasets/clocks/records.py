@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import Channel, seconds
+from sysid.datasets.chunked import Array
 from sysid.datasets.clocks.alignment import Estimate, Pair, conditional, pairs_of
 from sysid.datasets.clocks.estimate import KnownSkew, Skew, alone, known_skews, pooled, quantile
 from sysid.datasets.clocks.resets import Piece, pieces
@@ -23,8 +23,6 @@ from sysid.datasets.recording import ClockRecord, Kind
 from sysid.errors import AlignmentError, InputError
 from sysid.scratch import empty
 from sysid.scratch import pieces as sample_pieces
-
-Array = npt.NDArray[np.float64]
 
 __all__ = ["KnownSkew", "RecordingClocks", "align", "by_source", "known_skews", "machine_times"]
 
@@ -323,7 +321,6 @@ def _moving(
 
 
 def _backlash_notes(found: Estimate) -> list[str]:
-    """The significant backlash between signals."""
     return [
         f"with backlash of {abs(item.width):.2g} (SI) between {' and '.join(item.name.split('~'))}"
         for item in found.backlash

@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from sysid.datasets.chunked import median_step
 from sysid.datasets.clocks.alignment import BLOCK_S, Blocks, Estimate, Pair, continues, estimate
 from sysid.datasets.clocks.measured_motion import moves, smoothed
 from sysid.datasets.clocks.motion_fit import PairFit, prepared
-
-Array = npt.NDArray[np.float64]
 
 #: Least number of blocks on either side of a step.
 MIN_BLOCKS = 4
@@ -138,7 +136,7 @@ def _cut(pairs: Sequence[Pair], first: float, last: float) -> list[Pair]:
 
 
 def _period(pairs: Sequence[Pair]) -> float:
-    return min(float(np.median(np.diff(pair.y_times))) for pair in pairs)
+    return min(median_step(pair.y_times) for pair in pairs)
 
 
 def suspected(blocks: Blocks | None, period: float) -> float | None:

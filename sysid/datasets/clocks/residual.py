@@ -10,18 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import stored_channels
+from sysid.datasets.chunked import Array
 from sysid.datasets.clocks.alignment import BLOCK_S, Estimate, pairs_of, with_backlash_found
 from sysid.datasets.clocks.coarse import Pair
 from sysid.datasets.clocks.estimate import summed_blocks
 from sysid.datasets.clocks.measured_motion import moves, smoothed
 from sysid.datasets.clocks.motion_fit import FitSums, PairFit, prepared
 from sysid.datasets.recording import ClockRecord
-
-Array = npt.NDArray[np.float64]
 
 #: Blocks with less than this share of the median block's weight are omitted.
 LEAST_WEIGHT = 0.05
@@ -120,7 +118,7 @@ def _residual(channels: pd.DataFrame, record: ClockRecord, end_ns: int) -> Clock
 
 
 def _over_time(record: ClockRecord, sums: Sequence[FitSums], pairs: Sequence[PairResidual]) -> ClockResidual:
-    numbers, scores, weight, squares, counts, _ = summed_blocks(sums)
+    numbers, scores, weight, squares, _, counts = summed_blocks(sums)
     used = weight > LEAST_WEIGHT * float(np.median(weight))
     middle = np.asarray((numbers[used] + 0.5) * BLOCK_S, dtype=np.float64)
     times = middle * (1.0 + 1e-6 * record.skew_ppm) + record.offset_s
@@ -132,16 +130,8 @@ def _over_motion(pair: Pair, fit: PairFit, record: ClockRecord) -> PairResidual:
     x, residual = fit.residuals(record.offset_s, 1e-6 * record.skew_ppm, 0.0)
     edges = np.linspace(float(x.min()), float(x.max()), BINS + 1)
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-    counts = np.bincount(place, minlength=BINS)
-    order = np.argsort(place, kind="stable")
-    parts = np.split(residual[order], np.cumsum(counts)[:-1])
-    enough = counts >= 20
-    # Medians are robust against mistaken frames.
-    middle = np.array([float(np.median(part)) if there else np.nan for part, there in zip(parts, enough, strict=True)])
-    spread = np.array(
-        [
-            1.4826 * float(np.median(np.abs(part - m))) if there else np.nan
-            for part, m, there in zip(parts, middle, enough, strict=True)
-        ]
-    )
-    return PairResidual(pair.name, (edges[1:] + edges[:-1]) / 2.0, middle, spread, fit.scale)
+    away = pd.Series(residual)
+    counts, middle = away.groupby(place).size(), away.groupby(place).median()  # medians are robust against mistaken frames
+    spread = 1.4826 * (away - middle[place].to_numpy()).abs().groupby(place).median()
+    means, spreads = (np.asarray(own.where(counts >= 20).reindex(range(BINS)), np.float64) for own in (middle, spread))
+    return PairResidual(pair.name, (edges[1:] + edges[:-1]) / 2.0, means, spreads, fit.scale)

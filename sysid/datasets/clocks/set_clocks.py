@@ -11,12 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from sysid.datasets.chunked import Mask, Rows, Stamps
 from sysid.logs import Stream
-
-Stamps = npt.NDArray[np.int64]
-Rows = npt.NDArray[np.intp]
 
 #: A step back of fewer periods is a late message, since such a small reset cannot be distinguished from one.
 LATE_PERIODS = 5.0
@@ -127,7 +124,7 @@ def _period(stamps: Stamps) -> float:
     return float(np.median(forward)) if len(forward) else 1.0
 
 
-def _stray(stamps: Stamps, period: float) -> npt.NDArray[np.bool_]:
+def _stray(stamps: Stamps, period: float) -> Mask:
     """Mask of single stamps far from their neighbours, which fit each other."""
     stray = np.zeros(len(stamps), dtype=bool)
     before, own, after = stamps[:-2], stamps[1:-1], stamps[2:]

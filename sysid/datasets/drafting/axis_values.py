@@ -17,10 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
-Array = npt.NDArray[np.float64]
+from sysid.datasets.chunked import Array, Rows
 
 #: Window of the way, and step from one to the next [s].
 WINDOW_S, STEP_S = 0.4, 0.1
@@ -45,7 +44,7 @@ class Characteristic:
     Args:
         delay, lag: of the answer [s].
         rest: raw command while the axis rests, and its share of the rest; NaN where no value is usual then.
-        share: of the variance of the way in the windows that the fit explains; ``windows``: their number.
+        windows: number of windows that were fitted.
     """
 
     commands: Array
@@ -53,7 +52,6 @@ class Characteristic:
     delay: float
     lag: float
     rest: tuple[float, float]
-    share: float
     windows: int
 
     def at(self, raw: float, zero: float) -> float:
@@ -106,12 +104,11 @@ def characteristic(parts: Sequence[tuple[Array, Array]], rate_hz: float) -> Char
         for lag in (0.5 * (a + b) for a, b in itertools.pairwise(lags[max(at - 1, 0) : at + 2])):
             tried[lag] = _best_delay(windows, lag, first + 0.1 - lag)
     lag = min(tried, key=lambda each: tried[each])
-    residual, delay = tried[lag]
+    _, delay = tried[lag]
     speeds, _ = _fitted(windows, [each.lagged(lag) for each in windows], delay, robust=True)
     rest = _rest(parts, windows, delay + lag)
-    way = np.concatenate([each.way for each in windows])
-    share = 1.0 - residual / max(float(np.mean(way**2)), 1e-300)
-    return Characteristic(np.linspace(low, high, KNOTS), speeds, delay, lag, rest, share, len(way))
+    count = sum(len(each.way) for each in windows)
+    return Characteristic(np.linspace(low, high, KNOTS), speeds, delay, lag, rest, count)
 
 
 def _best_delay(windows: Sequence[_Windows], lag: float, near: float) -> tuple[float, float]:
@@ -125,7 +122,7 @@ def _best_delay(windows: Sequence[_Windows], lag: float, near: float) -> tuple[f
 class _Windows:
     """Windows of one recording: first rows (m,), the way in each (m,), and the hats of the knots at each row (n, k)."""
 
-    first: npt.NDArray[np.intp]
+    first: Rows
     way: Array
     hats: Array
     rows: int

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from sysid.datasets.chunked import Array
 from sysid.datasets.draft import Chosen, draft_recipe
 from sysid.datasets.drafting.axes import KINDS, AxisDraft, axes_of, unit_factor
 from sysid.datasets.drafting.fields import Answers, Field, Question, read_fields
@@ -168,7 +168,7 @@ def _rate(fields: Sequence[Field]) -> tuple[float, str]:
     return rate, f"even time grid of the dataset [Hz]; the fastest logs have {fastest:.4g}"
 
 
-def _rows_per_second(time: npt.NDArray[np.float64]) -> float:
+def _rows_per_second(time: Array) -> float:
     """Rate of stamps [s]: by the mean of their steps without pauses, which rounded stamps keep; NaN without a step."""
     steps = np.diff(time)
     steps = steps[steps > 0.0]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from sysid.datasets.chunked import Array
 from sysid.datasets.layouts import ONE_TABLE, TABLES
 from sysid.datasets.quality.noise import is_still
 from sysid.datasets.words import NO_SIGNAL, UNITS, WORDS, said, words_of
@@ -23,9 +23,6 @@ from sysid.logs.lerobot import LeRobotReader
 from sysid.logs.reader import ReadOptions, Stream, read_confined
 from sysid.logs.readers import reader_named
 from sysid.numbers import LARGEST_COUNT
-
-Array = npt.NDArray[np.float64]
-
 
 #: Of longer recordings the first two hours are enough [s].
 MAX_SECONDS = 7200.0

@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from sysid.datasets.chunked import Array
 from sysid.datasets.recipe import FramePose
 from sysid.errors import InputError
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

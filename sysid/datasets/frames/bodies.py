@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.channel import RowCounts, counts_of, in_order, seconds
+from sysid.datasets.channel import Channel, RowCounts, counts_of, in_order, seconds
 from sysid.datasets.checks.flag import Flag
-from sysid.datasets.chunked import stretches
+from sysid.datasets.chunked import Array, Mask, Stamps, stretches
 from sysid.datasets.frames.rigid import body_poses, inverse, marker_poses, mean_pose, poses_at
 from sysid.datasets.recipe import Reference, StreamMap
 from sysid.datasets.resample import GAP_PERIODS
@@ -25,9 +24,6 @@ from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Kinematics, Machine
 from sysid.machine.kinematics import Joint
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 #: Largest speed [m/s] and acceleration [m/s²] of a point of the machine; a body beyond them was confused with another.
 MAX_SPEED, MAX_ACCELERATION = 3.0, 20.0
@@ -59,7 +55,6 @@ def without_mistakes(
     the longest sequence of feasible moves is kept.
 
     Args:
-        body: its name.
         poses: (n, 4, 4), NaN where not visible.
         seconds: increasing, (n,).
         error: mean marker error (n,) [m], where the system gives it.
@@ -80,7 +75,7 @@ def without_mistakes(
     return result, tuple(flags)
 
 
-def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
+def _plausible(positions: Array, seconds: Array) -> Mask:
     """Mask of the frames on the longest chain of runs with feasible jumps between them, (n,)."""
     if len(positions) < 2:
         return np.ones(len(positions), dtype=bool)
@@ -105,7 +100,7 @@ def _plausible(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
     return keep
 
 
-def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
+def _jumps(positions: Array, seconds: Array) -> Mask:
     """Mask of the steps between neighbours that a machine cannot make, (n − 1,).
 
     Too far for their time; or, between frames without a gap, different from the step before and the step after by more than
@@ -122,7 +117,7 @@ def _jumps(positions: Array, seconds: Array) -> npt.NDArray[np.bool_]:
     return np.asarray(too_fast | sudden)
 
 
-def _dropped(body: str, reason: str, bad: npt.NDArray[np.bool_], seconds: Array) -> list[MissingFrames]:
+def _dropped(body: str, reason: str, bad: Mask, seconds: Array) -> list[MissingFrames]:
     return [
         MissingFrames(body, reason, float(seconds[first]), float(seconds[last - 1]), int(last - first))
         for first, last in zip(*stretches(bad), strict=True)
@@ -141,17 +136,6 @@ class LinkPoses:
     poses: Array
     counts: RowCounts = field(default_factory=RowCounts)
     flags: tuple[Flag, ...] = ()
-
-
-@dataclass(frozen=True)
-class CaptureSignal:
-    """A signal from motion capture, with the stamps of its body and what became of its frames."""
-
-    signal: str
-    stamps: Stamps
-    values: Array
-    counts: RowCounts
-    flags: tuple[Flag, ...]
 
 
 def find_mounts(streams: Sequence[Stream], mapping: StreamMap, machine: Machine) -> dict[str, list[Array]]:
@@ -217,8 +201,8 @@ def _origin(streams: Sequence[Stream], mapping: StreamMap) -> int:
 
 def joints_and_points(
     streams: Sequence[Stream], mapping: StreamMap, mounts: Mapping[str, Array], machine: Machine
-) -> tuple[list[CaptureSignal], tuple[MissingFrames, ...]]:
-    """The signals of tracked bodies and markers, and the dropped frames.
+) -> tuple[list[Channel], tuple[MissingFrames, ...]]:
+    """The channels of tracked bodies and markers of one file, with the stamps of their bodies, and the dropped frames.
 
     Bodies of one export share their stamps. Where they do not (topics of a bag), the poses of the one with more samples are
     interpolated to the instants of the other before the joint between them is computed.
@@ -244,7 +228,25 @@ def joints_and_points(
             )
             swaps = tuple(_swap(item, (int(stamps[0]) - origin) * 1e-9) for item in dropped[name])
             tracks[name] = LinkPoses(stamps, cleaned, counts, swaps)
-    signals = []
+    channels = []
+
+    def add(signal: str, stamps: Stamps, values: Array, counts: RowCounts, flags: Sequence[Flag]) -> None:
+        channels.append(
+            Channel(
+                signal=signal,
+                source=streams[0].source.name,
+                domain=mapping.domain,
+                stamps=stamps,
+                values=values,
+                unit=machine.expected_unit(signal) or "m",
+                primary=signal not in mapping.secondary,
+                interpolation=mapping.interpolation,
+                max_gap_s=mapping.max_gap_s,
+                counts=replace(counts, empty=int(np.count_nonzero(np.isnan(values)))),
+                flags=tuple(replace(flag, signal=signal) for flag in flags),
+            )
+        )
+
     kinematics = machine.kinematics()
     if kinematics is not None and mapping.bodies:
         links = {link: _moved(tracks[body], inverse(mounts[body])) for body, link in mapping.bodies.items()}
@@ -255,20 +257,14 @@ def joints_and_points(
                 both = _together(parent, child, mapping.max_gap_s)
                 if both is not None:
                     stamps, upper, lower, counts, flags = both
-                    values = _joint_values(joint, upper, lower)
-                    signals.append(_signal(f"{axis.name}.joint", stamps, values, counts, flags))
+                    add(f"{axis.name}.joint", stamps, _joint_values(joint, upper, lower), counts, flags)
     for point, entry in mapping.points.items():
         track = tracks[entry.body or entry.marker or ""]
         places = track.poses @ np.array([*entry.at, 1.0])
         for index, axis_name in enumerate("xyz"):
             if track.stamps is not None:
-                name = f"{point}.{axis_name}"
-                signals.append(_signal(name, track.stamps, places[:, index], track.counts, track.flags))
-    return signals, tuple(item for group in dropped.values() for item in group)
-
-
-def _signal(signal: str, stamps: Stamps, values: Array, counts: RowCounts, flags: Sequence[Flag]) -> CaptureSignal:
-    return CaptureSignal(signal, stamps, values, counts, tuple(replace(flag, signal=signal) for flag in flags))
+                add(f"{point}.{axis_name}", track.stamps, places[:, index], track.counts, track.flags)
+    return channels, tuple(item for group in dropped.values() for item in group)
 
 
 def _swap(item: MissingFrames, late_s: float) -> Flag:

@@ -13,17 +13,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from sysid.datasets.chunked import Array
 from sysid.datasets.recipe import FramePose, StreamMap
 from sysid.datasets.resample import interpolate
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.logs.capture import from_matrices
 from sysid.machine.kinematics import rotation_about
-
-Array = npt.NDArray[np.float64]
-
 
 #: Column names of position and rotation in message types; exports of capture systems have plain columns.
 _SPELLINGS = (

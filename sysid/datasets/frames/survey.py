@@ -8,10 +8,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid.datasets.channel import in_order, seconds
 from sysid.datasets.channels import read_streams
+from sysid.datasets.chunked import Array, Rows
 from sysid.datasets.frames.base_frame import FrameProposal, from_markers, from_turn
 from sysid.datasets.frames.bodies import STILL
 from sysid.datasets.frames.rigid import body_poses, frame_pose, has_rotation, inverse, marker_places
@@ -19,8 +19,6 @@ from sysid.datasets.recipe import FramePose, IngestRecipe, StreamMap, Survey
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.logs import Stream
 from sysid.machine import Machine
-
-Array = npt.NDArray[np.float64]
 
 #: Distance of points from the origin of a rigid body by which its rotation is used [m]: about the size of a machine's links.
 LEVER = 0.5
@@ -64,23 +62,22 @@ def _proposal(paths: Sequence[Path], mapping: StreamMap, survey: Survey, machine
         if name not in known:
             raise SettingsError(f"{path}: survey", f"no marker {name!r}", nearest(name, known), "Correct the recipe.")
     origin = min(int(known[name].on_clock(mapping.clock).min()) for name in names)
-    places = {name: _places(known[name], mapping, survey, origin) for name in names}
+    rows = {name: _rows(known[name], mapping, survey, origin) for name in names}
     if survey.axis is not None:
         point, direction = axis_line(machine, survey.axis)
         moving: dict[str, Array] = {}
         for name in survey.turning:
-            moving |= _levers(name, places[name], known[name], mapping, survey, origin)
+            moving |= _levers(known[name], rows[name])
         proposal = from_turn(moving, point, survey.sense * direction, survey.axis, f"{path}: survey")
         moved, turned = _axes_apart(mapping.frame, proposal.frame, point, direction)
     else:
-        static = {name: _static(places[name], f"{path}: {name}") for name in survey.markers}
+        static = {name: _static(marker_places(known[name])[rows[name]], f"{path}: {name}") for name in survey.markers}
         proposal = from_markers(static, survey.markers, f"{path}: survey")
         moved, turned = _apart(mapping.frame, proposal.frame)
     return SurveyResult(path, proposal, moved, turned)
 
 
 def _file(paths: Sequence[Path], mapping: StreamMap, survey: Survey) -> Path:
-    """The file of the survey."""
     found: list[Path] = []
     for path in paths:
         if not path.exists():
@@ -101,32 +98,27 @@ def _file(paths: Sequence[Path], mapping: StreamMap, survey: Survey) -> Path:
     return found[0]
 
 
-def _levers(name: str, places: Array, stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> dict[str, Array]:
-    """Positions of a marker; of a rigid body, which may be on the axis, also of points :data:`LEVER` along its axes."""
-    if not has_rotation(stream):
-        return {name: places}
+def _rows(stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> Rows:
+    """Rows within the seconds of the survey, in the order of their stamps."""
     stamps = stream.on_clock(mapping.clock)
-    order, _ = in_order(stamps, f"{stream.source}: {name}")
-    poses = body_poses(stream, FramePose())[order][_within(seconds(stamps[order], origin), survey)]
-    return {name: places} | {
-        f"{name} {sign}{axis}": poses[:, :3, 3] + (LEVER if sign == "+" else -LEVER) * poses[:, :3, index]
+    order, _ = in_order(stamps, f"{stream.source}: {stream.name}")
+    if survey.seconds is None:
+        return order
+    at = seconds(stamps[order], origin)
+    return np.asarray(order[(at >= survey.seconds[0]) & (at <= survey.seconds[1])])
+
+
+def _levers(stream: Stream, rows: Rows) -> dict[str, Array]:
+    """Positions of a marker; of a rigid body, which may be on the axis, also of points :data:`LEVER` along its axes."""
+    places = {stream.name: marker_places(stream)[rows]}
+    if not has_rotation(stream):
+        return places
+    poses = body_poses(stream, FramePose())[rows]
+    return places | {
+        f"{stream.name} {sign}{axis}": poses[:, :3, 3] + (LEVER if sign == "+" else -LEVER) * poses[:, :3, index]
         for index, axis in enumerate("xyz")
         for sign in "+-"
     }
-
-
-def _within(at: Array, survey: Survey) -> npt.NDArray[np.bool_]:
-    if survey.seconds is None:
-        return np.ones(len(at), dtype=bool)
-    return np.asarray((at >= survey.seconds[0]) & (at <= survey.seconds[1]))
-
-
-def _places(stream: Stream, mapping: StreamMap, survey: Survey, origin: int) -> Array:
-    """Positions within the seconds of the survey, in order, (n, 3)."""
-    stamps = stream.on_clock(mapping.clock)
-    order, _ = in_order(stamps, f"{stream.source}: {stream.name}")
-    places = marker_places(stream)[order]
-    return np.asarray(places[_within(seconds(stamps[order], origin), survey)])
 
 
 def _static(places: Array, where: str) -> Array:

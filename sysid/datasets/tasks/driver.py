@@ -10,15 +10,15 @@ from typing import Any
 from sysid.datasets.channels import Mounts, combined_mounts
 from sysid.datasets.clocks.records import KnownSkew, skews_of
 from sysid.datasets.discover import RecordingFiles, check_refused, count_files
-from sysid.datasets.plan import Plan, made_by, notes_of, placed, streams_of, units_of, with_joint_units
+from sysid.datasets.plan import Plan, ingested_dataset, made_by, notes_of, placed
 from sysid.datasets.quality.use import scales_of
-from sysid.datasets.recipe import Splits
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import copy_notes
 from sysid.datasets.tasks.steps import (
     AlignResult,
     Plain,
     ReadResult,
+    RecordingTask,
     align_recording,
     read_recording,
     store_recording,
@@ -79,74 +79,56 @@ class TaskIngest:
         found: Sequence[RecordingFiles],
         plan: Plan,
         mounts: Mounts,
-        splits: Splits,
+        sources: Sequence[Source],
         divide: Split,
         folder: str,
         report: Progress,
         skews: Mapping[str, KnownSkew] | None = None,
-    ) -> WrittenPart:
+    ) -> tuple[Dataset, Manifest]:
         """Read, align and describe the recordings ``found``, with their tables in ``folder``.
 
         Args:
-            splits: of the recipe, for the recordings that have to be there.
             skews: known skews of the clocks, from other recordings.
+
+        Returns:
+            The dataset without name and digest, and the entry of the manifest for its tables.
         """
-        place = self.location, folder
-        calls: list[tuple[Any, ...]] = [
-            (*place, k, plan, absolute(files), {key: own for key, own in mounts.items() if key[0] == files.name})
-            for k, files in enumerate(found)
-        ]
-        read: list[ReadResult] = self.executor.run(read_recording, calls, part(report, *_READ))
+        run, machine = self.executor.run, plan.machine
+        tasks = [RecordingTask(self.location, folder, k, plan, absolute(files)) for k, files in enumerate(found)]
+        of_each = [{key: own for key, own in mounts.items() if key[0] == files.name} for files in found]
+        read: list[ReadResult] = run(read_recording, [*zip(tasks, of_each, strict=True)], part(report, *_READ))
         unusable = {key: error for own in read for key, error in own.reading.refused.items()}
         check_refused(unusable, count_files(found), plan.recipe_place)
         shared = skews_of({files.name: own.pieces for files, own in zip(found, read, strict=True)}, skews)
-        calls = [
-            (*place, k, plan, files.name, files.kind, own, shared)
-            for k, (files, own) in enumerate(zip(found, read, strict=True))
-        ]
-        aligned: list[AlignResult] = self.executor.run(align_recording, calls, part(report, *_ALIGNED))
+        calls: list[tuple[Any, ...]] = [(task, own, shared) for task, own in zip(tasks, read, strict=True)]
+        aligned: list[AlignResult] = run(align_recording, calls, part(report, *_ALIGNED))
         refused = {files.name: own.refused for files, own in zip(found, aligned, strict=True) if own.refused is not None}
-        names = placed([files.name for files in found], refused, splits)
+        names = placed([files.name for files in found], refused, plan.rules.splits)
         kept = [k for k, files in enumerate(found) if files.name in names]
-        tables = [
-            stored_table(self.store.files, folder, k, plan, found[k].name, found[k].kind, aligned[k].start_ns) for k in kept
-        ]
+        tables = [stored_table(self.store.files, tasks[k], aligned[k].start_ns) for k in kept]
         parts, roles = divide(tables)
-        units, assumed = with_joint_units(units_of({found[k].name: read[k].reading.channels for k in kept}), plan.machine)
-        clocks = tuple(record for k in kept for record in aligned[k].clocks)
+        dataset, assumed = ingested_dataset(
+            plan,
+            parts,
+            roles,
+            clocks=tuple(record for k in kept for record in aligned[k].clocks),
+            channels={found[k].name: read[k].reading.channels for k in kept},
+            streams=[pair for k in kept for pair in aligned[k].streams],
+            sources=sources,
+            losses={f"{found[k].name}/{file}": tuple(own) for k in kept for file, own in read[k].reading.losses.items()},
+        )
+        columns, scales, blocks = sample_columns(dataset), scales_of(parts, machine), _blocks(parts, tables)
+        calls = [(tasks[k], read[k], aligned[k], blocks[found[k].name], scales, columns) for k in kept]
+        stored: list[Plain] = run(store_recording, calls, part(report, *_STORED))
         rates = tuple(note for own in read for note in own.rates)
-        notes = (
-            *notes_of(found, plan, mounts, rates, [own.commands for own in read], refused),
-            *copy_notes(tables),
-            *assumed,
-        )
-        addition = Dataset(
-            name=plan.machine.name,
-            version=0,
-            digest="",
-            machine=plan.machine,
-            recordings=parts,
-            units=units,
-            splits=roles,
-            clocks=clocks,
-            streams=streams_of([(stream, signal) for k in kept for stream, signal in aligned[k].streams], parts),
-        )
-        columns = sample_columns(addition)
-        scales = scales_of(parts, plan.machine)
-        blocks = _blocks(parts, tables)
-        calls = [
-            (*place, k, plan, found[k].name, found[k].kind, read[k], aligned[k], blocks[found[k].name], scales, columns)
-            for k in kept
-        ]
-        stored: list[Plain] = self.executor.run(store_recording, calls, part(report, *_STORED))
+        notes = notes_of(found, plan, mounts, rates, [own.commands for own in read], refused)
         quality = {
             **_joined([own["quality"] for own in stored]),
             "flags": [flag for k in kept for flag in aligned[k].flags],
-            "notes": list(notes),
+            "notes": [*notes, *copy_notes(tables), *assumed],
         }
         entry = self._committed(folder, [read[k] for k in kept], stored, kept)
-        losses = {f"{found[k].name}/{file}": tuple(own) for k in kept for file, own in read[k].reading.losses.items()}
-        return WrittenPart(replace(addition, quality=quality), losses, new_part(folder, *entry, made_by(found, plan, mounts)))
+        return replace(dataset, quality=quality), new_part(folder, *entry, made_by(found, plan, mounts))
 
     def _committed(
         self, folder: str, read: Sequence[ReadResult], stored: Sequence[Plain], kept: Sequence[int]
@@ -169,26 +151,6 @@ class TaskIngest:
             samples = committed(self.store.files, f"{folder}/samples", entries["samples"])
             channels = committed(self.store.files, f"{folder}/channels", entries["channels"])
         return samples, {**channels, "clocks": [clock for one in read for clock in one.clocks]}
-
-
-@dataclass(frozen=True)
-class WrittenPart:
-    """Recordings whose tables are in the store, without a version.
-
-    Args:
-        dataset: without name, digest and sources.
-        losses: ``recording/file`` → what was lost when it was read.
-        part: entry of the manifest.
-    """
-
-    dataset: Dataset
-    losses: Mapping[str, tuple[str, ...]]
-    part: Manifest
-
-    def named(self, name: str, digest: str, sources: Sequence[Source]) -> Dataset:
-        """The dataset to be published."""
-        own = tuple(replace(source, losses=self.losses.get(source.path, ())) for source in sources)
-        return replace(self.dataset, name=name, digest=digest, sources=own)
 
 
 def absolute(files: RecordingFiles) -> RecordingFiles:

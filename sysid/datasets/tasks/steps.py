@@ -14,14 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, ReadRecording, ReferencePoses, concatenate, joined, read_channels, reference_poses
 from sysid.datasets.checks.run import flag_rows
 from sysid.datasets.checks.streams import likely_unit
-from sysid.datasets.chunked import median_step
+from sysid.datasets.chunked import Array, median_step
 from sysid.datasets.clocks.estimate import Skew
 from sysid.datasets.clocks.records import RecordingClocks, by_source, machine_times, pieces_of, records_of
 from sysid.datasets.clocks.resets import Piece
@@ -31,17 +30,17 @@ from sysid.datasets.poses import pose_table, still_phases
 from sysid.datasets.quality.describe import describe
 from sysid.datasets.quality.use import Scale
 from sysid.datasets.recipe import IngestRecipe
-from sysid.datasets.recording import ClockRecord, Kind, Recording
+from sysid.datasets.recording import ClockRecord, Recording
 from sysid.datasets.resample import grid, resample
 from sysid.datasets.splits import rows_of
-from sysid.datasets.versions.files import UNCHANGED, Files, explained, scratch_folder
+from sysid.datasets.versions.files import UNCHANGED, Files, explained, working_on
 from sysid.datasets.versions.store import Store
 from sysid.datasets.versions.tables import Columns, clock_entries, read_channel_file, write_channel_file, write_sample_file
 from sysid.errors import AlignmentError, InputError
 from sysid.files import plain
 from sysid.machine import Machine
 from sysid.progress import Progress, silent
-from sysid.scratch import leave, scratch_in
+from sysid.scratch import leave
 
 #: Limit of rows on the grid, beyond which stamps are wrong (a day at 1 kHz has 86 million).
 MAX_ROWS = 10**8
@@ -67,7 +66,7 @@ def aligned_recording(
     signals = {name: concatenate(parts) for name, parts in joined(recording.channels, where).items()}
     signals = {name: signals[name] for name in machine.signals if name in signals}
 
-    def times_of(channel: Channel) -> npt.NDArray[np.float64]:
+    def times_of(channel: Channel) -> Array:
         return machine_times(channel, start, records.get(channel.source))
 
     report(0.0, f"resampling {recording.name}")
@@ -118,6 +117,22 @@ Plain = dict[str, Any]
 
 
 @dataclass(frozen=True)
+class RecordingTask:
+    """What every task of a recording takes: the workspace, the ``folder`` of the part in it, and the ``number`` there."""
+
+    location: str
+    folder: str
+    number: int
+    plan: Plan
+    files: RecordingFiles
+
+    @property
+    def table(self) -> str:
+        """Path of the uncut table."""
+        return f"{self.folder}/tables/{self.number:05d}.arrow"
+
+
+@dataclass(frozen=True)
 class ReadResult:
     """What :func:`read_recording` returns.
 
@@ -162,75 +177,57 @@ def survey_recording(location: str, plan: Plan, files: RecordingFiles) -> tuple[
         return reference_poses(files, plan.machine)
 
 
-def read_recording(location: str, folder: str, number: int, plan: Plan, files: RecordingFiles, mounts: Mounts) -> ReadResult:
+def read_recording(own: RecordingTask, mounts: Mounts) -> ReadResult:
     """Task: raw files → ``channels/part-<number>``.
-
-    Args:
-        mounts: of the rigid bodies in this recording.
 
     Raises:
         SysidError: a log that cannot be used.
     """
-    with _prepared(location) as store:
-        reading = read_channels(files, plan.machine, mounts)
+    files, rate_hz = own.files, own.plan.machine.rate_hz
+    with _prepared(own.location) as store:
+        reading = read_channels(files, own.plan.machine, mounts)
         files.check_unchanged()
         if reading.refused:
             return ReadResult(without_samples(reading))
         found = pieces_of(RecordingClocks(files.name, files.kind, reading.channels))
-        with explained(location, UNCHANGED):
-            file = write_channel_file(store, f"{folder}/channels", number, files.name, reading.channels)
+        with explained(own.location, UNCHANGED):
+            file = write_channel_file(store, f"{own.folder}/channels", own.number, files.name, reading.channels)
         return ReadResult(
             without_samples(reading),
             tuple(len(channel.stamps) for channel in reading.channels),
             {
-                clock: tuple(replace(one, estimate=replace(one.estimate, blocks=None)) for one in own)
-                for clock, own in found.items()
+                clock: tuple(replace(piece, estimate=replace(piece.estimate, blocks=None)) for piece in pieces)
+                for clock, pieces in found.items()
             },
             file,
             tuple(clock_entries(files.name, reading.channels)),
-            tuple(rate_notes([files], {files.name: reading}, plan.machine.rate_hz)),
+            tuple(rate_notes([files], {files.name: reading}, rate_hz)),
             command_rates(reading),
         )
 
 
-def align_recording(
-    location: str,
-    folder: str,
-    number: int,
-    plan: Plan,
-    name: str,
-    kind: Kind,
-    read: ReadResult,
-    skews: Mapping[str, Skew | None],
-) -> AlignResult:
+def align_recording(own: RecordingTask, read: ReadResult, skews: Mapping[str, Skew | None]) -> AlignResult:
     """Task: ``channels/part-<number>`` → ``tables/<number>.arrow`` on the machine's clock.
 
     Args:
-        read: result of :func:`read_recording`.
         skews: clock domain → its skew; None: each recording has its own.
     """
-    rules = plan.rules if plan.rules is not None else IngestRecipe(schema=1)
-    with _prepared(location) as store:
-        reading = _stored(store, folder, number, read)
-        recording = RecordingClocks(name, kind, reading.channels)
+    name, machine, rules = own.files.name, own.plan.machine, own.plan.rules
+    with _prepared(own.location) as store:
+        recording = RecordingClocks(name, own.files.kind, _stored(store, own, read).channels)
         try:
             records = records_of(recording, read.pieces, skews)
         except AlignmentError as error:
             return AlignResult(refused=error)
-        table = aligned_recording(recording, by_source(records, name), plan.machine, rules, silent)
-        flags = flag_rows(recording, records, plan.machine, rules.hold_s)
-        with explained(location, UNCHANGED):
-            _write_table(store, _table_path(folder, number), table.table)
+        table = aligned_recording(recording, by_source(records, name), machine, rules, silent)
+        flags = flag_rows(recording, records, machine, rules.hold_s)
+        with explained(own.location, UNCHANGED):
+            _write_table(store, own.table, table.table)
         return AlignResult(tuple(records), tuple(flags), tuple(stream_signals(recording)), table.start_ns)
 
 
 def store_recording(
-    location: str,
-    folder: str,
-    number: int,
-    plan: Plan,
-    name: str,
-    kind: Kind,
+    own: RecordingTask,
     read: ReadResult,
     aligned: AlignResult,
     blocks: Sequence[tuple[str, int, int]],
@@ -240,7 +237,6 @@ def store_recording(
     """Task: ``tables/<number>.arrow`` → ``samples/part-<number>``, and the quality of the recording.
 
     Args:
-        read, aligned: results of :func:`read_recording` and :func:`align_recording`.
         blocks: (name, first row, last + 1) of the blocks with different roles; empty: it is not cut.
         scales: axis → full command and top speed over all recordings.
         columns: of the samples of all recordings.
@@ -248,26 +244,25 @@ def store_recording(
     Returns:
         ``quality`` and the ``file`` for the manifest.
     """
-    with _prepared(location) as store:
-        reading = _stored(store, folder, number, read)
-        whole = stored_table(store, folder, number, plan, name, kind, aligned.start_ns)
+    with _prepared(own.location) as store:
+        whole = stored_table(store, own, aligned.start_ns)
         parts = [rows_of(whole, *block) for block in blocks] or [whole]
-        quality = describe(parts, {name: reading}, aligned.clocks, plan.machine, scales=scales)
-        with explained(location, UNCHANGED):
-            file = write_sample_file(store, f"{folder}/samples", number, parts, columns)
+        readings = {own.files.name: _stored(store, own, read)}
+        quality = describe(parts, readings, aligned.clocks, own.plan.machine, scales=scales)
+        with explained(own.location, UNCHANGED):
+            file = write_sample_file(store, f"{own.folder}/samples", own.number, parts, columns)
         return {"quality": plain(quality), "file": file}
 
 
-def stored_table(files: Files, folder: str, number: int, plan: Plan, name: str, kind: Kind, start_ns: int) -> Recording:
+def stored_table(files: Files, own: RecordingTask, start_ns: int) -> Recording:
     """The uncut recording that :func:`align_recording` stored; its table is mapped from a local file."""
     import pyarrow as pa
 
-    path = _table_path(folder, number)
-    uri = files.uri(path)
-    source = pa.BufferReader(files.read(path)) if "://" in uri else pa.memory_map(uri)
-    table = pa.ipc.open_file(source).read_all()
-    columns = {field.name: table[field.name].chunk(0).to_numpy() for field in table.schema}
-    return Recording(name, pd.DataFrame(columns, copy=False), plan.machine.rate_hz, kind, start_ns)
+    uri = files.uri(own.table)
+    source = pa.BufferReader(files.read(own.table)) if "://" in uri else pa.memory_map(uri)
+    stored = pa.ipc.open_file(source).read_all()
+    table = pd.DataFrame({field.name: stored[field.name].chunk(0).to_numpy() for field in stored.schema}, copy=False)
+    return Recording(own.files.name, table, own.plan.machine.rate_hz, own.files.kind, start_ns)
 
 
 def _write_table(files: Files, path: str, table: pd.DataFrame) -> None:
@@ -280,21 +275,15 @@ def _write_table(files: Files, path: str, table: pd.DataFrame) -> None:
         sink.flush()
 
 
-def _table_path(folder: str, number: int) -> str:
-    return f"{folder}/tables/{number:05d}.arrow"
-
-
-def _stored(files: Files, folder: str, number: int, read: ReadResult) -> ReadRecording:
+def _stored(files: Files, own: RecordingTask, read: ReadResult) -> ReadRecording:
     """The channels that :func:`read_recording` stored."""
-    samples = read_channel_file(files, f"{folder}/channels", number, read.samples)
+    samples = read_channel_file(files, f"{own.folder}/channels", own.number, read.samples)
     pairs = zip(read.reading.channels, samples, strict=True)
-    return replace(read.reading, channels=tuple(replace(own, stamps=stamps, values=values) for own, (stamps, values) in pairs))
+    return replace(read.reading, channels=tuple(replace(one, stamps=stamps, values=values) for one, (stamps, values) in pairs))
 
 
 @contextmanager
 def _prepared(location: str) -> Iterator[Files]:
-    """The files of the workspace; large arrays lie in a scratch file, and numerical libraries use one thread."""
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    with threadpool_limits(limits=1), scratch_in(scratch_folder(location)):
+    """The files of the workspace, in a process that works on it."""
+    with working_on(location):
         yield Store(location).files

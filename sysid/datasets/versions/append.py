@@ -17,19 +17,18 @@ from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, check_sources, discover
 from sysid.datasets.ingestion import DESCRIBED, STORED, read_and_align
 from sysid.datasets.plan import Plan, content_of, plan_of, sources_of
-from sysid.datasets.recipe import Splits, stored_recipe
+from sysid.datasets.recipe import NO_RECIPE, Splits, stored_recipe
 from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.splits import split
 from sysid.datasets.tasks.driver import Survey, TaskIngest
-from sysid.datasets.versions.files import OvertakenError, scratch_folder
-from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of
+from sysid.datasets.versions.files import OvertakenError, working_on
+from sysid.datasets.versions.manifest import Manifest, clock_from, digest_of, files_of
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, SettingsError, nearest
 from sysid.execution import Executor
-from sysid.machine import Machine, machine_from_files
+from sysid.machine import machine_from_files
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
-from sysid.scratch import scratch_in
 
 #: Of new recordings without a role from the caller or the recipe, so that held-out recordings stay the same.
 DEFAULT_ROLE: Role = "fit"
@@ -72,12 +71,10 @@ def append(
         SettingsError: another machine, a mistake in the recipe, an unknown role.
         StoreError: no such version.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
     if role is not None and role not in get_args(Role):
         raise SettingsError("role", repr(role), nearest(role, get_args(Role)))
     report = progress or silent
-    with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
+    with working_on(workspace):
         while True:
             try:
                 return _append(paths, Store(workspace), to, machine, recipe, role, report, executor)
@@ -97,10 +94,7 @@ def _append(
 ) -> Dataset:
     base = store.manifest(to)
     name, reference = base["name"], f"{base['name']}@{base['version']}"
-    description = machine_from_files(base["machine"], f"dataset {reference}")
-    text = base["parts"][-1]["made"]["recipe"]
-    plan = plan_of(paths, machine, recipe, lambda: stored_recipe(text, f"{reference}: recipe") if text else None, description)
-    check_machine(plan.machine, description, reference)
+    plan = plan_on(base, paths, machine, recipe)
     report(0.0, "reading file names")
     found, sources = _new_recordings(discover(plan.roots, plan.rules), base["sources"], reference)
     if not found:
@@ -114,29 +108,27 @@ def _append(
         return known
 
     skews = known_skews([clock_from(item) for item in base["clocks"]], store.clock_domains(reference))
-    settings = plan.rules.splits if plan.rules is not None else Splits()
 
     def divide(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], dict[str, Role]]:
-        return split(recordings, roles_of(recordings, settings, role), plan.where)
+        return split(recordings, roles_of(recordings, plan.rules.splits, role), plan.where)
 
+    newest = "@" not in to
     if executor is not None:
         with store.new_part(name, digest) as folder, executor.kept() as kept:
             tasks = TaskIngest(kept, store)
             mounts = mounts_of(found, base, lambda open_files: tasks.survey(open_files, plan, report))
-            written = tasks.written(found, plan, mounts, settings, divide, folder, report, skews)
-            addition = checked_addition(written.named(name, digest, sources), base, plan)
-            saved = store.append_written(reference, addition, written.part, "@" not in to)
-        report(1.0, f"stored {saved.reference}")
-        return saved
-
-    mounts = mounts_of(found, base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
-    ingested = read_and_align(found, plan, mounts, report, skews)
-    parts, roles = divide(ingested.recordings)
-    addition = ingested.dataset(name, digest, plan.machine, parts, roles, sources, stretch(report, *DESCRIBED))
-    addition = checked_addition(addition, base, plan)
-    saved = store.append(reference, addition, ingested.channels, ingested.made, "@" not in to, stretch(report, *STORED))
-    report(1.0, f"stored {saved.reference}")
-    return saved
+            dataset, entry = tasks.written(found, plan, mounts, sources, divide, folder, report, skews)
+            addition = checked_addition(replace(dataset, name=name, digest=digest), base, plan)
+            number = store.publish(addition, entry, reference, newest)
+    else:
+        mounts = mounts_of(found, base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
+        ingested = read_and_align(found, plan, mounts, report, skews)
+        parts, roles = divide(ingested.recordings)
+        dataset = ingested.dataset(plan, parts, roles, sources, stretch(report, *DESCRIBED))
+        addition = checked_addition(replace(dataset, name=name, digest=digest), base, plan)
+        number = store.append(reference, addition, ingested.channels, ingested.made, newest, stretch(report, *STORED))
+    report(1.0, f"stored {name}@{number}")
+    return store.load(f"{name}@{number}")
 
 
 def checked_addition(addition: Dataset, base: Manifest, plan: Plan) -> Dataset:
@@ -155,15 +147,23 @@ def checked_addition(addition: Dataset, base: Manifest, plan: Plan) -> Dataset:
     return replace(addition, quality=joined_quality(base["quality"], addition.quality))
 
 
-def check_machine(given: Machine, expected: Machine, reference: str) -> None:
-    """Check that logs are of the machine of a version.
+def plan_on(
+    base: Manifest,
+    paths: Sequence[Path | str] | Path | str,
+    machine: Path | str | None = None,
+    recipe: Path | str | None = None,
+) -> Plan:
+    """Recipe and machine of recordings that are to be added to ``base``: those named, else those beside the logs, else its own.
 
     Raises:
-        SettingsError: another description.
+        SettingsError: another machine than that of ``base``, or a mistake in the recipe.
     """
-    ours, theirs = expected.files(), given.files()
+    reference, text = f"{base['name']}@{base['version']}", base["parts"][-1]["made"]["recipe"]
+    expected = machine_from_files(base["machine"], f"dataset {reference}")
+    plan = plan_of(paths, machine, recipe, lambda: stored_recipe(text, f"{reference}: recipe") if text else NO_RECIPE, expected)
+    ours, theirs = expected.files(), plan.machine.files()
     if ours == theirs:
-        return
+        return plan
     file = next(name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name))
     lines = difflib.ndiff(ours.get(file, "").splitlines(), theirs.get(file, "").splitlines())
     first = next((line for line in lines if line.startswith(("- ", "+ "))), "")
@@ -183,10 +183,7 @@ def _new_recordings(
     Raises:
         InputError: a recording that is held with other content, or the same content under another name.
     """
-    before: dict[str, dict[str, str]] = {}
-    for source in held:
-        recording, _, file = source["path"].rpartition("/")
-        before.setdefault(recording, {})[file] = source["sha256"]
+    before = {name: {file: entry["sha256"] for file, entry in own.items()} for name, own in files_of(held).items()}
     names = {frozenset(files.values()): recording for recording, files in before.items()}
     new: list[RecordingFiles] = []
     sources: list[Source] = []

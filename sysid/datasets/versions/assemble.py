@@ -1,16 +1,17 @@
-"""Manifest and tables → the version in memory."""
+"""Manifest and tables → the version in memory, and as one pandas table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from sysid.datasets.recording import Dataset, Recording, Source
+from sysid.datasets.chunked import Array
+from sysid.datasets.recording import Dataset, Recording, Role, Source
 from sysid.datasets.versions.manifest import Manifest, clock_from
 from sysid.errors import StoreError
 from sysid.logs.topic_columns import GrowingArray
@@ -71,7 +72,7 @@ class _Columns:
         self._unordered: list[npt.NDArray[np.int64]] | None = None  # numbers of all rows, once one was not the next
         self._values = {name: GrowingArray(np.nan) for name in names}
 
-    def take(self, rows: npt.NDArray[np.int64], columns: Mapping[str, npt.NDArray[np.float64]]) -> None:
+    def take(self, rows: npt.NDArray[np.int64], columns: Mapping[str, Array]) -> None:
         """Values at ``rows``."""
         if self._unordered is None and not np.array_equal(rows, np.arange(self.found, self.found + len(rows))):
             self._unordered = [np.arange(self.found)]
@@ -82,7 +83,7 @@ class _Columns:
             values.expected = min(self._stated, TRUSTED * self.found)
             values.extend(columns[name])
 
-    def whole(self) -> dict[str, npt.NDArray[np.float64]] | None:
+    def whole(self) -> dict[str, Array] | None:
         """The columns in the order of the rows; None unless every row was there once."""
         columns = {name: values.whole(self.found) for name, values in self._values.items()}
         if self._unordered is None:
@@ -116,3 +117,25 @@ def _recording(item: Mapping[str, Any], columns: _Columns, units: Mapping[str, s
     part = pd.DataFrame(values, copy=False)
     part.attrs = {"units": {"time": "s", **{signal: units[signal] for signal in item["signals"]}}}
     return Recording(item["name"], part, item["rate_hz"], item["kind"], item["start_ns"])
+
+
+def frame_of(dataset: Dataset) -> pd.DataFrame:
+    """All recordings of ``dataset``, one below the other.
+
+    Returns:
+        Columns ``recording`` and ``role`` (categories; poses have no role), ``time`` [s] since the recording's start, and one
+        float64 column a signal, NaN where a recording does not have it. ``attrs``: ``units`` (column → SI unit), ``dataset``
+        (``name@version``) and ``digest``.
+    """
+    names = [recording.name for recording in dataset.recordings]
+    numbers = np.repeat(np.arange(len(names)), [len(recording) for recording in dataset.recordings])
+    codes = np.array([get_args(Role).index(dataset.splits[name]) if name in dataset.splits else -1 for name in names])
+    table = pd.concat([recording.table for recording in dataset.recordings], ignore_index=True)
+    columns: dict[str, object] = {
+        "recording": pd.Categorical.from_codes(numbers, dtype=pd.CategoricalDtype(names)),
+        "role": pd.Categorical.from_codes(codes[numbers], dtype=pd.CategoricalDtype(list(get_args(Role)))),
+    }
+    frame = pd.concat([pd.DataFrame(columns), table], axis=1)
+    units = {column: unit for column, unit in dataset.units.items() if column in frame.columns}
+    frame.attrs = {"units": units, "dataset": dataset.reference, "digest": dataset.digest}
+    return frame

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, cast
 
 from sysid.errors import StorageError, StoreError
+from sysid.root import Kind as EntryKind
 from sysid.root import Root
 
 #: State of the store after a failed write, for the message of :func:`explained`.
@@ -37,6 +38,17 @@ class OvertakenError(StoreError):
 def scratch_folder(workspace: str | Path) -> Path:
     """Folder of scratch files for ``workspace``: the workspace itself if local, so that they are on the same disk."""
     return Path(tempfile.gettempdir()) if "://" in str(workspace) else Path(workspace)
+
+
+@contextmanager
+def working_on(workspace: str | Path) -> Iterator[None]:
+    """Large arrays lie in scratch files of ``workspace``; one thread, since for thousands of small systems more are slower."""
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    from sysid.scratch import scratch_in
+
+    with threadpool_limits(limits=1), scratch_in(scratch_folder(workspace)):
+        yield
 
 
 @contextmanager
@@ -72,8 +84,28 @@ _LOCK = ".lock"
 _NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
+class Listing:
+    """Names in a folder, sorted; none where there is no such folder."""
+
+    def entries(self, folder: str) -> dict[str, EntryKind]:
+        """Name → kind of the entries."""
+        raise NotImplementedError
+
+    def names(self, folder: str) -> list[str]:
+        """Of the files."""
+        return [name for name, kind in self.entries(folder).items() if kind == "file"]
+
+    def folders(self, folder: str) -> list[str]:
+        """Of the folders."""
+        return [name for name, kind in self.entries(folder).items() if kind == "folder"]
+
+    def links(self, folder: str) -> list[str]:
+        """Of the links: neither files nor folders, and never followed."""
+        return [name for name, kind in self.entries(folder).items() if kind == "link"]
+
+
 @dataclass(frozen=True)
-class LocalFiles(Root):
+class LocalFiles(Root, Listing):
     """A folder on this machine. Paths use ``/``; a link below the folder is refused with a StoreError.
 
     :class:`ObjectFiles` has the same operations.
@@ -85,18 +117,6 @@ class LocalFiles(Root):
     def uri(self, path: str) -> str:
         self.path(path)
         return str(self.folder.resolve() / path)
-
-    def names(self, folder: str) -> list[str]:
-        """Names of the files in ``folder``, sorted; empty where there is none."""
-        return [name for name, kind in self.entries(folder).items() if kind == "file"]
-
-    def folders(self, folder: str) -> list[str]:
-        """Names of the folders in ``folder``, sorted."""
-        return [name for name, kind in self.entries(folder).items() if kind == "folder"]
-
-    def links(self, folder: str) -> list[str]:
-        """Names of the links in ``folder``, sorted: neither files nor folders, and never followed."""
-        return [name for name, kind in self.entries(folder).items() if kind == "link"]
 
     def address(self, path: str) -> tuple[int, str]:
         """Size [bytes] and sha256 of a file."""
@@ -140,13 +160,14 @@ class LocalFiles(Root):
         return self.names(folder)
 
     @contextmanager
-    def lock(self, folder: str) -> Iterator[None]:
-        """One writer at a time."""
+    def lock(self, folder: str, state: str = "nothing was changed") -> Iterator[None]:
+        """One writer at a time; ``state``: as of :func:`explained`."""
         from filelock import FileLock, Timeout
 
         place = self.folder / folder
-        with explained(place, "nothing was changed"):
-            lock = FileLock(self.output(f"{folder}/{_LOCK}"), timeout=LOCK_WAIT_S)
+        with explained(place, state):
+            self.make(folder)
+            lock = FileLock(self.path(f"{folder}/{_LOCK}"), timeout=LOCK_WAIT_S)
             try:
                 lock.acquire()
             except Timeout:
@@ -189,7 +210,7 @@ def _move_new(root: Root, draft: str, final: str) -> None:
 
 
 @dataclass(frozen=True)
-class ObjectFiles:
+class ObjectFiles(Listing):
     """An object store, in which a put is atomic.
 
     The claim of a number is the first commit of a Delta table, which the object store accepts from one writer only (put if
@@ -235,7 +256,7 @@ class ObjectFiles:
     def uri(self, path: str) -> str:
         return f"{self.url}/{path}"
 
-    def _entries(self, folder: str, kind: str) -> list[str]:
+    def entries(self, folder: str) -> dict[str, EntryKind]:
         from pyarrow.fs import FileSelector
 
         with self._answering():
@@ -245,21 +266,11 @@ class ObjectFiles:
                 entries = system.get_file_info(selector)
             except FileNotFoundError:  # another writer made the folder between two checks of Arrow
                 entries = system.get_file_info(selector)
-        links = set(self.links(folder))
-        return sorted(entry.base_name for entry in entries if entry.type.name == kind and entry.base_name not in links)
-
-    def names(self, folder: str) -> list[str]:
-        return self._entries(folder, "File")
-
-    def folders(self, folder: str) -> list[str]:
-        return self._entries(folder, "Directory")
-
-    def links(self, folder: str) -> list[str]:
-        """None, except in a folder that is used as object store."""
-        _, place = self._at(folder)
-        if not self._in_folder or not Path(place).is_dir():
-            return []
-        return [name for name, kind in Root(Path(place)).entries("").items() if kind == "link"]
+        kinds: dict[str, EntryKind] = {"File": "file", "Directory": "folder"}
+        found = {entry.base_name: kinds[entry.type.name] for entry in entries if entry.type.name in kinds}
+        if self._in_folder:  # in which there may be links
+            found |= Root(Path(place)).entries("")
+        return dict(sorted(found.items()))
 
     def read(self, path: str) -> bytes:
         with self._answering():
@@ -345,7 +356,7 @@ class ObjectFiles:
             system.delete_file(place)
 
     @contextmanager
-    def lock(self, folder: str) -> Iterator[None]:
+    def lock(self, folder: str, state: str = "") -> Iterator[None]:
         """Does nothing: numbers are claimed instead, and vacuum keeps young tables."""
         yield
 

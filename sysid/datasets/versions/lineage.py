@@ -112,13 +112,7 @@ def _part(store: Store, manifest: Manifest, number: int) -> PartLineage:
         sources=tuple(Source(**{**item, "losses": tuple(item["losses"])}) for item in sources),
         recipe_sha256=_sha256(made["recipe"]) if made["recipe"] else "",
         clocks=tuple(clock_from(item) for item in manifest["clocks"] if item["recording"] in whole),
-        settings=made["settings"],
-        mounts=made["mounts"],
-        created=made["created"],
-        sysid=made["sysid"],
-        ingest=made["ingest"],
-        python=made["python"],
-        software=made["software"],
+        **{key: made[key] for key in ("settings", "mounts", "created", "sysid", "ingest", "python", "software")},
         tables={
             store.files.uri(f"{part['folder']}/{which}"): tuple(
                 file["sha256"] for file in (part[which] or {"files": ()})["files"]

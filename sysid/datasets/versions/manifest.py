@@ -9,12 +9,12 @@ import dataclasses
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
-from sysid.datasets.clock_record import ClockRecord
+from sysid.datasets.clocks import ClockRecord
 from sysid.datasets.versions.manifest_shape import check_shape
 from sysid.errors import SettingsError, StoreError
 from sysid.extras import versions_of
@@ -68,13 +68,19 @@ class Superseded:
     beginnings: Mapping[str, list[list[str]]] = field(default_factory=dict)
 
 
+def files_of(sources: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """Recording before it was cut into blocks → its raw files by name, from the ``sources`` of a manifest."""
+    files: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for source in sources:
+        recording, _, file = source["path"].rpartition("/")
+        files.setdefault(recording, {})[file] = source
+    return files
+
+
 def contents_of(manifest: Manifest) -> dict[str, str]:
     """Recording before it was cut into blocks → digest of its raw files."""
-    files: dict[str, list[tuple[str, str]]] = {}
-    for source in manifest["sources"]:
-        recording, _, file = source["path"].rpartition("/")
-        files.setdefault(recording, []).append((file, source["sha256"]))
-    return {recording: digest_of({"files": sorted(own)}) for recording, own in files.items()}
+    files = files_of(manifest["sources"]).items()
+    return {name: digest_of({"files": sorted((file, entry["sha256"]) for file, entry in own.items())}) for name, own in files}
 
 
 def digest_of(content: Mapping[str, Any]) -> str:
@@ -154,7 +160,7 @@ def appended(
 
 def reduced(base: Manifest, version: int, digest: str, superseded: Superseded) -> Manifest:
     """``base`` without the recordings that are superseded. Parts without a recording are left out."""
-    sourced = {source["path"].rpartition("/")[0] for source in base["sources"]}
+    sourced = files_of(base["sources"])
 
     def stays(name: str) -> bool:
         return uncut_name(name, sourced) not in superseded.by
@@ -189,7 +195,7 @@ def _reduced_quality(value: Any, stays: Callable[[str], bool]) -> Any:
 
 def _in_places(base: Manifest, stay: list[Manifest], new: list[Manifest], superseded: Superseded) -> list[Manifest]:
     """The entries of all recordings: a new one is in the place of the first that it supersedes, or at the end."""
-    sourced = {source["path"].rpartition("/")[0] for source in base["sources"]}
+    sourced = files_of(base["sources"])
     staying = {item["name"]: item for item in stay}
     waiting: dict[str, list[Manifest]] = {}
     for item in new:

@@ -15,17 +15,19 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import uuid
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.recording import Dataset, Role
-from sysid.datasets.versions.assemble import dataset_of
+from sysid.datasets.versions.assemble import dataset_of, frame_of
 from sysid.datasets.versions.files import UNCHANGED, OvertakenError, TakenError, explained
 from sysid.datasets.versions.index import VersionIndex, manifest_path, numbers_of
 from sysid.datasets.versions.manifest import (
@@ -42,6 +44,7 @@ from sysid.datasets.versions.manifest import (
 )
 from sysid.datasets.versions.tables import PartTables, is_there, read_batches, read_table, write_channels, write_samples
 from sysid.errors import StorageError, StoreError, nearest
+from sysid.location import default_location
 from sysid.progress import Progress, silent
 from sysid.progress import part as stretch
 
@@ -99,7 +102,9 @@ class Store(VersionIndex):
             if part["channels"] is not None:
                 rows = part["channels"]["clocks"]
             else:
-                rows = self._table(manifest, part, "channels", columns).group_by(list(columns)).aggregate([]).to_pylist()
+                place = f"{manifest['name']}@{manifest['version']}: channels"
+                table = read_table(self.files, part, "channels", place, columns)
+                rows = table.group_by(list(columns)).aggregate([]).to_pylist()
             gone = part.get("superseded", ())
             found |= {(row["recording"], row["source"]): row["domain"] for row in rows if row["recording"] not in gone}
         return found
@@ -151,22 +156,11 @@ class Store(VersionIndex):
         Raises:
             StorageError: the disk is full or read-only; no version is made then.
         """
-        version = self._store(dataset, channels, made, progress, lambda number, own: new_manifest(dataset, number, own))
-        return version if isinstance(version, Dataset) else dataclasses.replace(dataset, version=version)
+        with self.new_part(dataset.name, dataset.digest) as folder:
+            part = self._written(folder, dataset, channels, made, progress)
+            return dataclasses.replace(dataset, version=self.publish(dataset, part))
 
     def append(
-        self,
-        base: str,
-        addition: Dataset,
-        channels: Mapping[str, Sequence[Channel]],
-        made: PartRecord,
-        newest: bool = False,
-        progress: Progress = silent,
-    ) -> Dataset:
-        """:meth:`extend`, and the version that it stores."""
-        return self.load(f"{addition.name}@{self.extend(base, addition, channels, made, newest, progress)}")
-
-    def extend(
         self,
         base: str,
         addition: Dataset,
@@ -195,23 +189,19 @@ class Store(VersionIndex):
             StoreError: ``base`` was removed.
             StorageError: the disk is full or read-only; no version is made then.
         """
-        after = self.manifest(base)["version"]  # before anything is written
-
-        def build(number: int, own: Manifest) -> Manifest:
-            return appended(self._extended(base, newest), addition, number, own, superseded)
-
-        version = self._store(addition, channels, made, progress, build, after)
-        return version.version if isinstance(version, Dataset) else version
+        with self.new_part(addition.name, addition.digest) as folder:
+            part = self._written(folder, addition, channels, made, progress)
+            return self.publish(addition, part, base, newest, superseded)
 
     def reduce(self, base: str, digest: str, superseded: Superseded) -> int:
-        """Store the newest version ``base`` without some recordings; returns the number. Errors as of :meth:`extend`."""
+        """Store the newest version ``base`` without some recordings; returns the number. Errors as of :meth:`append`."""
         name = self.manifest(base)["name"]
         with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
             whole = self._extended(base, newest=True)
             return self._publish(name, digest, lambda number: reduced(whole, number, digest, superseded))
 
     def _extended(self, base: str, newest: bool) -> Manifest:
-        """The manifest that is extended, under the lock of the dataset; arguments and errors as of :meth:`extend`."""
+        """The manifest that is extended, under the lock of the dataset; arguments and errors as of :meth:`append`."""
         manifest = self._whole(base)
         last = self.versions(manifest["name"])[-1]
         if newest and last != manifest["version"]:
@@ -242,83 +232,75 @@ class Store(VersionIndex):
             raise StoreError(f"dataset {reference}", "its tables are gone", "the tables as written", "Ingest the logs again.")
         return manifest
 
-    def _store(
+    @contextmanager
+    def new_part(self, name: str, digest: str) -> Iterator[str]:
+        """A new folder for the tables of a part: ``samples`` and ``channels``.
+
+        It is locked within the block, and removed after an error, or where :meth:`publish` found a version with this content.
+        """
+        folder = f"datasets/{name}/data/{digest[:16]}-{uuid.uuid4().hex[:8]}"
+        try:
+            with contextlib.ExitStack() as locked:
+                with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
+                    self._remove_leftovers(name, digest)
+                    locked.enter_context(self.files.lock(folder, UNCHANGED))
+                yield folder
+        except BaseException:
+            with contextlib.suppress(OSError):
+                if folder.rpartition("/")[2] in self.leftovers(name):
+                    self.files.remove(folder)
+            raise
+
+    def _written(
         self,
+        folder: str,
         dataset: Dataset,
         channels: Mapping[str, Sequence[Channel]],
         made: PartRecord,
         progress: Progress,
-        build: Callable[[int, Manifest], Manifest],
-        after: int = 0,
-    ) -> Dataset | int:
-        """Write tables into a new folder, then the manifest ``build(number, part)``; returns its number, or an existing version
-        with this content.
+    ) -> Manifest:
+        """Write the tables of a part; its entry of the manifest."""
+        with explained(self.workspace, UNCHANGED):
+            cells = sum(recording.table.size for recording in dataset.recordings)
+            half = cells / max(1, cells + 2 * sum(len(c.stamps) for own in channels.values() for c in own))
+            samples = write_samples(self.files, f"{folder}/samples", dataset, channels, stretch(progress, 0.0, half))
+            raw = write_channels(self.files, f"{folder}/channels", channels, stretch(progress, half, 1.0))
+        return new_part(folder, samples, raw, made)
+
+    def publish(
+        self,
+        dataset: Dataset,
+        part: Manifest,
+        base: str | None = None,
+        newest: bool = False,
+        superseded: Superseded | None = None,
+    ) -> int:
+        """Publish tables in a folder of :meth:`new_part`, in one step: as a version of their own, or behind those of ``base``.
+
+        Args:
+            part: entry of the manifest.
+            base, newest, superseded: as of :meth:`append`.
+
+        Returns:
+            The number of the new version, or of an existing one with this content.
         """
         name = dataset.name
+        after = 0 if base is None else self.manifest(base)["version"]
+
+        def build(number: int) -> Manifest:
+            if base is None:
+                return new_manifest(dataset, number, part)
+            return appended(self._extended(base, newest), dataset, number, part, superseded)
+
         with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
             known = self.intact(name, dataset.digest, after)
-            if known is not None:
-                return known
-            self._remove_leftovers(name, dataset.digest)
-            folder = new_folder(name, dataset.digest)
-            try:
-                cells = sum(recording.table.size for recording in dataset.recordings)
-                half = cells / max(1, cells + 2 * sum(len(c.stamps) for own in channels.values() for c in own))
-                samples = write_samples(self.files, f"{folder}/samples", dataset, channels, stretch(progress, 0.0, half))
-                raw = write_channels(self.files, f"{folder}/channels", channels, stretch(progress, half, 1.0))
-                self.files.settle(folder)
-                written = new_part(folder, samples, raw, made)
-                return self._publish(name, dataset.digest, lambda number: build(number, written))
-            except BaseException:
-                self._remove_unpublished(name, folder)
-                raise
-
-    @contextmanager
-    def new_part(self, name: str, digest: str) -> Iterator[str]:
-        """A new folder for the tables of a part that tasks of other processes write: ``samples`` and ``channels``.
-
-        It is locked within the block, and removed at its end unless :meth:`save_written` or :meth:`append_written` has
-        published it.
-        """
-        with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
-            self._remove_leftovers(name, digest)
-        folder = new_folder(name, digest)
-        try:
-            with self.files.lock(folder):
-                yield folder
-        finally:
-            self._remove_unpublished(name, folder)
-
-    def save_written(self, dataset: Dataset, part: Manifest) -> Dataset:
-        """:meth:`save` with tables that are there.
-
-        Args:
-            part: their entry of the manifest.
-        """
-        number = self._publish_written(dataset, part, lambda number: new_manifest(dataset, number, part))
-        return self.load(f"{dataset.name}@{number}")
-
-    def append_written(self, base: str, addition: Dataset, part: Manifest, newest: bool = False) -> Dataset:
-        """:meth:`append` with tables that are there.
-
-        Args:
-            part: their entry of the manifest.
-        """
-        number = self._publish_written(
-            addition, part, lambda number: appended(self._extended(base, newest), addition, number, part)
-        )
-        return self.load(f"{addition.name}@{number}")
-
-    def _publish_written(self, dataset: Dataset, part: Manifest, build: Callable[[int], Manifest]) -> int:
-        """Publish tables that are there, in one step; returns the number, or that of an existing version with this content."""
-        name = dataset.name
-        with self.files.lock(f"datasets/{name}"), explained(self.workspace, UNCHANGED):
-            known = self.intact(name, dataset.digest)
-            if known is not None:
-                return known.version
-            self.files.unlock(part["folder"])
-            self.files.settle(part["folder"])
-            return self._publish(name, dataset.digest, build)
+            if known is None:
+                self.files.unlock(part["folder"])
+                self.files.settle(part["folder"])
+            number = self._publish(name, dataset.digest, build) if known is None else known.version
+            if all(own["folder"] != part["folder"] for own in self.read_manifest(name, number)["parts"]):
+                self.files.remove(part["folder"])
+        return number
 
     def _remove_leftovers(self, name: str, digest: str) -> None:
         """Remove the folders of killed ingests of the same content."""
@@ -327,12 +309,6 @@ class Store(VersionIndex):
             path = f"datasets/{name}/data/{folder}"
             if folder in same and not self.files.is_locked(path):
                 self.files.remove(path)
-
-    def _remove_unpublished(self, name: str, folder: str) -> None:
-        """Remove a folder, unless a version refers to it."""
-        with contextlib.suppress(OSError):
-            if folder.rpartition("/")[2] in self.leftovers(name):
-                self.files.remove(folder)
 
     def _publish(self, name: str, digest: str, build: Callable[[int], Manifest]) -> int:
         """Publish the manifest under the next number, which it returns; without locks another writer may claim it first."""
@@ -373,8 +349,22 @@ class Store(VersionIndex):
         gone = part.get("superseded", ())
         return table.filter(pc.invert(pc.is_in(table["recording"], pa.array(gone, pa.string())))) if gone else table
 
-    def _table(self, manifest: Manifest, part: Manifest, which: str, columns: Sequence[str] | None = None) -> pa.Table:
-        return read_table(self.files, part, which, f"{manifest['name']}@{manifest['version']}: {which}", columns)
+
+def load(reference: str, workspace: str | os.PathLike[str] | None = None) -> pd.DataFrame:
+    """A stored version as one table: ``sysid.load("autolog@3")``.
+
+    Args:
+        reference: ``"name"`` (its newest version) or ``"name@3"``.
+        workspace: folder or object-store URL; else ``SYSID_WORKSPACE``, else ``./workspace``.
+
+    Returns:
+        See :func:`~sysid.datasets.versions.assemble.frame_of`.
+
+    Raises:
+        StoreError: no such dataset or version, or its files are damaged.
+    """
+    place = os.fspath(workspace) if workspace is not None else default_location()
+    return frame_of(Store(place if "://" in place else Path(place)).load(reference))
 
 
 @contextmanager
@@ -386,11 +376,6 @@ def _damage_skipped() -> Iterator[None]:
         raise
     except StoreError:
         pass
-
-
-def new_folder(name: str, digest: str) -> str:
-    """Path of the folder of a new part."""
-    return f"datasets/{name}/data/{digest[:16]}-{uuid.uuid4().hex[:8]}"
 
 
 def _only(manifest: Manifest, names: Collection[str]) -> Manifest:

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.channel import Channel
+from sysid.datasets.chunked import Array, Stamps
 from sysid.datasets.recording import Dataset, Recording
 from sysid.datasets.versions.files import Files
 from sysid.errors import StoreError
@@ -29,8 +29,6 @@ from sysid.scratch import empty, leave
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Stamps = npt.NDArray[np.int64]
-Values = npt.NDArray[np.float64]
 
 #: Rows written at a time, so that a long recording is not copied as a whole.
 ROWS = 1 << 20
@@ -169,7 +167,7 @@ def write_channel_file(
     return _write(files, folder, number, schema, batches())
 
 
-def read_channel_file(files: Files, folder: str, number: int, lengths: Sequence[int]) -> list[tuple[Stamps, Values]]:
+def read_channel_file(files: Files, folder: str, number: int, lengths: Sequence[int]) -> list[tuple[Stamps, Array]]:
     """Stamps [ns] and values of the channels in file ``number``, in their order.
 
     Args:

@@ -17,22 +17,19 @@ from typing import Any
 
 from sysid.datasets.channel import Channel
 from sysid.datasets.channels import Mounts, survey_mounts
-from sysid.datasets.clocks.records import KnownSkew, known_skews
+from sysid.datasets.clocks.records import known_skews
 from sysid.datasets.discover import RecordingFiles, as_found, check_sources, in_folder
 from sysid.datasets.ingestion import read_and_align
-from sysid.datasets.plan import Plan, content_of, made_by, plan_of
-from sysid.datasets.recipe import Splits, stored_recipe
+from sysid.datasets.plan import Plan, content_of, made_by, streams_of
 from sysid.datasets.recording import Dataset, Source
 from sysid.datasets.splits import split
-from sysid.datasets.versions.append import check_machine, checked_addition, joined_quality, mounts_of, roles_of
-from sysid.datasets.versions.files import OvertakenError, scratch_folder
-from sysid.datasets.versions.manifest import Manifest, Superseded, clock_from, digest_of, reduced
+from sysid.datasets.versions.append import checked_addition, joined_quality, mounts_of, roles_of
+from sysid.datasets.versions.files import OvertakenError, working_on
+from sysid.datasets.versions.manifest import Manifest, Superseded, clock_from, digest_of, files_of, reduced
 from sysid.datasets.versions.store import Store
 from sysid.errors import InputError, StoreError, SysidError
 from sysid.foreign import visible
-from sysid.machine import machine_from_files
 from sysid.progress import Progress, part, silent
-from sysid.scratch import scratch_in
 
 #: Bytes read at a time.
 _PIECE = 1 << 20
@@ -60,20 +57,6 @@ class Update:
     relies: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
 
 
-def plan_of_arrivals(manifest: Manifest, logs: Path) -> Plan:
-    """Recipe and machine of a folder of recordings that are to be added to a version: those beside the logs, else its own.
-
-    Raises:
-        SettingsError: another machine than that of the version, or a mistake in the recipe.
-    """
-    reference = f"{manifest['name']}@{manifest['version']}"
-    machine = machine_from_files(manifest["machine"], f"dataset {reference}")
-    text = manifest["parts"][-1]["made"]["recipe"]
-    plan = plan_of([logs], None, None, lambda: stored_recipe(text, f"{reference}: recipe") if text else None, machine)
-    check_machine(plan.machine, machine, reference)
-    return plan
-
-
 def update(
     plan: Plan,
     paths: Sequence[Path],
@@ -94,9 +77,7 @@ def update(
     Raises:
         StoreError: no such dataset, or the workspace fails. Nothing that is wrong with a recording is an error.
     """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    with threadpool_limits(limits=1), scratch_in(scratch_folder(store.workspace)):
+    with working_on(store.workspace):
         while True:
             try:
                 return _Pass(plan, store, store.manifest(name), frozenset(fixed), frozenset(present)).over(paths, progress)
@@ -120,10 +101,10 @@ class _Pass:
     def __init__(self, plan: Plan, store: Store, base: Manifest, fixed: frozenset[str], present: frozenset[str]) -> None:
         self._plan, self._store, self._base, self._fixed, self._present = plan, store, base, fixed, present
         self._reference = f"{base['name']}@{base['version']}"
-        self._held: dict[str, dict[str, tuple[int, str]]] = {}
-        for source in base["sources"]:
-            recording, _, file = source["path"].rpartition("/")
-            self._held.setdefault(recording, {})[file] = (source["size"], source["sha256"])
+        self._held: dict[str, dict[str, tuple[int, str]]] = {
+            recording: {file: (entry["size"], entry["sha256"]) for file, entry in own.items()}
+            for recording, own in files_of(base["sources"]).items()
+        }
         self._original = frozenset(self._held)
         self._beginnings: dict[str, list[list[str]]] = {
             name: [list(own) for own in lists] for name, lists in base.get("beginnings", {}).items()
@@ -133,11 +114,8 @@ class _Pass:
         self._repeated: dict[str, str] = {}
         self._relies: dict[str, str] = {}
         self._units: dict[str, str] = dict(base["units"])
-        self._skews = self._known_skews()
-
-    def _known_skews(self) -> Mapping[str, KnownSkew]:
-        clocks = [clock_from(item) for item in self._base["clocks"] if not self._fixed or item["recording"] in self._fixed]
-        return known_skews(clocks, self._store.clock_domains(self._reference))
+        clocks = [clock_from(item) for item in base["clocks"] if not fixed or item["recording"] in fixed]
+        self._skews = known_skews(clocks, store.clock_domains(self._reference))
 
     def over(self, paths: Sequence[Path], progress: Progress) -> Update:
         """What :func:`update` returns.
@@ -248,9 +226,8 @@ class _Pass:
         plan = self._plan
         mounts = mounts_of([files], self._base, lambda open_files: survey_mounts(open_files, plan.machine, plan.recipe_place))
         ingested = read_and_align([files], plan, mounts, progress, self._skews)
-        settings = plan.rules.splits if plan.rules is not None else Splits()
-        parts, roles = split(ingested.recordings, roles_of(ingested.recordings, settings, None), plan.where)
-        dataset = ingested.dataset(self._base["name"], "", plan.machine, parts, roles, sources)
+        parts, roles = split(ingested.recordings, roles_of(ingested.recordings, plan.rules.splits, None), plan.where)
+        dataset = replace(ingested.dataset(plan, parts, roles, sources), name=self._base["name"])
         checked_addition(dataset, {**self._base, "units": self._units}, plan)
         self._units = {**dataset.units, **self._units}
         return _Part(files, dataset, ingested.channels[files.name], mounts)
@@ -271,29 +248,23 @@ class _Pass:
         quality: Mapping[str, Any] = base["quality"]
         for own in parts:
             quality = joined_quality(quality, own.dataset.quality)
+        recordings = tuple(recording for own in parts for recording in own.dataset.recordings)
+        streams = [(name, signal) for own in parts for name, signals in own.dataset.streams.items() for signal in signals]
         addition = replace(
             first,
             digest=digest,
-            recordings=tuple(recording for own in parts for recording in own.dataset.recordings),
+            recordings=recordings,
             units={name: unit for own in parts for name, unit in own.dataset.units.items()},
             splits={name: role for own in parts for name, role in own.dataset.splits.items()},
             sources=tuple(sources),
             clocks=tuple(clock for own in parts for clock in own.dataset.clocks),
             quality=quality,
-            streams=_united(own.dataset.streams for own in parts),
+            streams=streams_of(streams, recordings),
         )
         mounts: Mounts = {key: pose for own in parts for key, pose in own.mounts.items()}
         made = made_by([own.files for own in parts], self._plan, mounts)
         channels = {own.files.name: own.channels for own in parts}
-        self._store.extend(self._reference, addition, channels, made, True, progress, superseded)
-
-
-def _united(streams: Iterable[Mapping[str, Sequence[str]]]) -> dict[str, tuple[str, ...]]:
-    found: dict[str, dict[str, None]] = {}
-    for own in streams:
-        for stream, signals in own.items():
-            found.setdefault(stream, {}).update(dict.fromkeys(signals))
-    return {stream: tuple(signals) for stream, signals in sorted(found.items())}
+        self._store.append(self._reference, addition, channels, made, True, progress, superseded)
 
 
 def _size(path: Path) -> int:
