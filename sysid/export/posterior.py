@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects.units import parameter_unit
+from sysid.export.drive_module import write_csv
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 from sysid.plant.uncertainty import PlantNumber
@@ -65,10 +65,8 @@ def write_posterior(found: Posterior, folder: Path) -> tuple[str, ...]:
     """Write samples and ranges; returns the names of the files, none where no parameter is uncertain."""
     if not found.columns:
         return ()
-    with (folder / SAMPLES).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(f"{column} [{unit}]" for column, unit in zip(found.columns, found.units, strict=True))
-        writer.writerows([[repr(float(value)) for value in row] for row in found.samples])
+    header = (f"{column} [{unit}]" for column, unit in zip(found.columns, found.units, strict=True))
+    write_csv(folder / SAMPLES, header, found.samples)
     (folder / RANGES).write_text(json.dumps(ranges(found), indent=1, ensure_ascii=False), "utf-8")
     return SAMPLES, RANGES
 
