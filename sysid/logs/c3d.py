@@ -25,7 +25,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.capture import length_factor, without_lost
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import to_ns
 
 Array = npt.NDArray[np.float64]
@@ -284,13 +284,12 @@ _MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS
 ANALOG = "analog"
 
 
-@dataclass(frozen=True)
-class C3dReader:
+class C3dReader(LogReader):
     """``capture`` stamps: the number of the frame over the rate, so that a cropped trial does not start at zero."""
 
-    name: str = "c3d"
-    suffixes: tuple[str, ...] = (".c3d",)
-    clocks: tuple[str, ...] = ("capture",)
+    name = "c3d"
+    suffixes = (".c3d",)
+    clocks = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         trial = read_c3d(path, options.budget_of(path, "a C3D file"))

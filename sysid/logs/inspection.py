@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +15,9 @@ from sysid.errors import InputError
 from sysid.logs.csv import CsvReader
 from sysid.logs.labels import without_repeats
 from sysid.logs.lerobot import data_files, is_lerobot
-from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.readers import NAMED, NO_LOGS, is_log, reader_for, reader_named
-from sysid.logs.table import NO_TIME, TIME_NAMES, Columns, guess_time
+from sysid.logs.table import NO_TIME, TIME_NAMES, TableReader, guess_time
 from sysid.logs.time_unit import TimeUnit
 from sysid.logs.topic_columns import STAMP_FIELDS
 from sysid.numbers import LARGEST_COUNT
@@ -28,11 +27,6 @@ from sysid.units import si_factor, split_header
 GAP = 3.0
 #: Fields of a header, which are listed as clocks.
 _HEADER = frozenset({path for pair in STAMP_FIELDS for path in pair} | {"header.seq"})
-
-
-@runtime_checkable
-class _TableReader(Protocol):
-    def columns(self, path: Path, options: ReadOptions) -> tuple[Columns, tuple[str, ...]]: ...
 
 
 @dataclass(frozen=True)
@@ -221,10 +215,10 @@ def _likely_unit(streams: Iterable[Stream]) -> str:
 
 def _bare(path: Path, reader: LogReader, header: tuple[str, ...]) -> tuple[StreamSummary, ...]:
     """The columns of a table without a time column."""
-    if not isinstance(reader, _TableReader):
+    if not isinstance(reader, TableReader):
         return ()
     try:
-        columns, _ = reader.columns(path, ReadOptions(header=header))
+        columns = reader.table(path, ReadOptions(header=header)).numbers
     except InputError:
         return ()
     fields = tuple(_field(*split_header(header), values) for header, values in columns)
@@ -235,12 +229,9 @@ def _unstated(
     path: Path, reader: LogReader, header: tuple[str, ...], expected_hz: float | None
 ) -> tuple[dict[str, Any], tuple[TimeUnit, ...]]:
     """Keys that a recipe has to state for this file, with likely values, and the plausible units of its time."""
-    if reader.name == "motive":
-        return unstated(path), ()
-    if not isinstance(reader, _TableReader):
-        return {}, ()
-    columns, _ = reader.columns(path, ReadOptions(header=header))
-    guess = guess_time(columns, expected_hz)
+    if not isinstance(reader, TableReader):
+        return dict(reader.unstated(path)), ()
+    guess = guess_time(reader.table(path, ReadOptions(header=header)).numbers, expected_hz)
     if guess is None:
         return {}, ()
     stated: dict[str, Any] = {} if guess.name in TIME_NAMES else {"time": guess.name}

@@ -8,7 +8,6 @@ Units are those of the recorder: degrees, radians or shares of the range; the fi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.labels import bracketed
 from sysid.logs.limits import MAX_TEXT
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.parse import parse_json
 
 Array = npt.NDArray[np.float64]
@@ -36,13 +35,12 @@ _NUMBERS = ("float", "int", "uint", "bool")
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
-@dataclass(frozen=True)
-class LeRobotReader:
+class LeRobotReader(LogReader):
     """Numbers and flags of every feature; matrices, images, videos and texts are said to be left out."""
 
-    name: str = "lerobot"
-    suffixes: tuple[str, ...] = (".parquet",)
-    clocks: tuple[str, ...] = ("episode",)
+    name = "lerobot"
+    suffixes = (".parquet",)
+    clocks = ("episode",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         info = dataset_info(path)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.layout import Bytes
 from sysid.logs.limits import Budget, unpack
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.topics import Topic, check_held, finished, make_decoder
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -258,13 +258,12 @@ def indexed_block(records: Buffer, index: Sequence[bytes]) -> McapBlock | None:
 _COUNT = np.dtype([("channel", "<u2"), ("messages", "<u8")])
 
 
-@dataclass(frozen=True)
-class McapReader:
+class McapReader(LogReader):
     """The default clock is ``header`` (time of measurement), for messages with ``header.stamp`` or ``stamp``."""
 
-    name: str = "mcap"
-    suffixes: tuple[str, ...] = (".mcap",)
-    clocks: tuple[str, ...] = ("header", "log", "publish")
+    name = "mcap"
+    suffixes = (".mcap",)
+    clocks = ("header", "log", "publish")
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, "an MCAP file", None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,32 +12,23 @@ from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions, Stream
-from sysid.logs.table import Columns, Table, is_time, is_wanted, table_stream
+from sysid.logs.table import Table, TableReader, is_time, is_wanted, table_stream
 from sysid.units import split_header
 
 #: Rows of a row group in which an example of a text is sought.
 _TRIED = 64
 
 
-@dataclass(frozen=True)
-class ParquetReader:
+class ParquetReader(TableReader):
     """Numbers of any type, also decimal and in categories; nulls are missing values. Text, lists and records are not read."""
 
-    name: str = "parquet"
-    suffixes: tuple[str, ...] = (".parquet",)
-    clocks: tuple[str, ...] = ("time",)
+    name = "parquet"
+    suffixes = (".parquet",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        table, headers = self.table(path, options)
-        return (table_stream(path, table, options, known=() if options.columns is None else headers),)
+        return (table_stream(path, self.table(path, options), options),)
 
-    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Name → numbers of the wanted columns, in the order of the file, and the losses."""
-        table, _ = self.table(path, options)
-        return table.numbers, table.losses
-
-    def table(self, path: Path, options: ReadOptions = ALL) -> tuple[Table, tuple[str, ...]]:
-        """The wanted columns, in the order of the file, and the headers of all with numbers or stamps."""
+    def table(self, path: Path, options: ReadOptions = ALL) -> Table:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -56,7 +46,7 @@ class ParquetReader:
                 unread = {split_header(field.name)[0]: _unread(file, field, budget) for field in others}
         except (pa.ArrowException, OSError, ValueError, KeyError) as error:  # also names that are no text
             raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
-        return Table(columns, (), unread), headers
+        return Table(columns, (), unread, headers)
 
 
 def _kind(kind: Any) -> str:
