@@ -19,14 +19,14 @@ from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.readers import NAMED, NO_LOGS, is_log, reader_for, reader_named
 from sysid.logs.table import NO_TIME, TIME_NAMES, TableReader, guess_time
 from sysid.logs.time_unit import TimeUnit
-from sysid.logs.topic_columns import STAMP_FIELDS
+from sysid.logs.topic_columns import STAMP_PATHS
 from sysid.numbers import LARGEST_COUNT
 from sysid.units import si_factor, split_header
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
 GAP = 3.0
 #: Fields of a header, which are listed as clocks.
-_HEADER = frozenset({path for pair in STAMP_FIELDS for path in pair} | {"header.seq"})
+_HEADER = STAMP_PATHS | {"header.seq"}
 
 
 @dataclass(frozen=True)

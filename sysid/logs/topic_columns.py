@@ -102,7 +102,7 @@ STAMP_FIELDS = tuple(
     for prefix in ("header.stamp", "stamp", "timestamp")
     for seconds, nanoseconds in (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
 )
-_STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
+STAMP_PATHS = frozenset(path for pair in STAMP_FIELDS for path in pair)
 
 
 @dataclass
@@ -156,7 +156,7 @@ class TopicColumns:
         for column in self._kept(tuple(name for name in names if self._is_new_or_known(name))):
             column.put(where, values)
         for name in names:
-            if name in _STAMPS:
+            if name in STAMP_PATHS:
                 stamps = self._stamps.get(name)
                 if stamps is None:
                     stamps = self._stamps[name] = GrowingArray(0, values.dtype.newbyteorder("="), expected=self.stated)

@@ -58,16 +58,14 @@ def make_decoder(
     cells = budget.numbers
     wanted = None if options.fields is None else frozenset(options.fields.get(topic, ()))
     preview = PREVIEW if options.preview else None
+    text = schema.decode("utf-8", errors="replace")
     match message_encoding, schema_encoding:
         case "ros1", "ros1msg":
-            text = schema.decode("utf-8", errors="replace")
             definition = parse_definition(kind, text, where, ros1=True)
             return ColumnDecoder(definition, wanted, preview, packed=True, cells=cells)
         case "cdr", "ros2msg":
-            text = schema.decode("utf-8", errors="replace")
             return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, cells=cells)
         case "cdr", "ros2idl" | "omgidl":
-            text = schema.decode("utf-8", errors="replace")
             return ColumnDecoder(parse_idl(kind, text, where), wanted, preview, cells=cells)
         case "json", "jsonschema" | "":
             return RowDecoder(parse_json, wanted, preview, cells)
