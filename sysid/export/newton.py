@@ -36,6 +36,7 @@ from sysid.export.usd_stage import (
     write_drive,
     write_follower,
 )
+from sysid.machine.kinematics import pose_of
 from sysid.plant import Plant
 from sysid.plant.layout import axis_places
 
@@ -164,17 +165,12 @@ def _frame(joint: Any, side: int) -> Array:
     from pxr import Gf
 
     turn = joint.GetAttribute(f"physics:localRot{side}").Get()
-    frame = np.eye(4)
-    frame[:3, :3] = np.array(Gf.Matrix3d(Gf.Quatd(turn))).T
-    frame[:3, 3] = np.array(joint.GetAttribute(f"physics:localPos{side}").Get())
-    return frame
+    return pose_of(np.array(Gf.Matrix3d(Gf.Quatd(turn))).T, np.array(joint.GetAttribute(f"physics:localPos{side}").Get()))
 
 
 def _motion(value: float, slides: bool) -> Array:
     """Motion of a joint along or about x (4, 4)."""
-    frame = np.eye(4)
     if slides:
-        frame[0, 3] = value
-    else:
-        frame[1:3, 1:3] = [[math.cos(value), -math.sin(value)], [math.sin(value), math.cos(value)]]
-    return frame
+        return pose_of(np.eye(3), np.array([value, 0.0, 0.0]))
+    sine, cosine = math.sin(value), math.cos(value)
+    return pose_of(np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]]), np.zeros(3))

@@ -26,7 +26,7 @@ from sysid.export.drive_module import (
 )
 from sysid.export.names import MachineNames, Names
 from sysid.export.target import Simulation, Support, Target
-from sysid.machine.kinematics import Joint, Kinematics, origin_pose, roll_pitch_yaw, rotation_about
+from sysid.machine.kinematics import Joint, Kinematics, origin_pose, roll_pitch_yaw, rotation_about, rotation_by
 from sysid.machine.urdf_tree import MOVING, followed, moments_of, urdf_tree
 from sysid.plant import Plant
 from sysid.signals import point_signals
@@ -39,9 +39,7 @@ def base_pose(plant: Plant) -> tuple[Array, Array]:
     item = plant.effect("base_misalignment", "base")
     if item is None:
         return np.eye(3), np.zeros(3)
-    rotation = np.asarray(item.parameters["rotation"], dtype=np.float64)
-    angle = float(np.linalg.norm(rotation))
-    turn = rotation_about(rotation / angle, np.array([angle]))[0] if angle > 0.0 else np.eye(3)
+    turn = rotation_by(np.asarray(item.parameters["rotation"], dtype=np.float64))
     return turn, np.asarray(item.parameters["translation"], dtype=np.float64)
 
 

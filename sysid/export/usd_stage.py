@@ -27,7 +27,7 @@ from sysid.export.urdf import (
     tip_offset,
     urdf_of,
 )
-from sysid.machine.kinematics import origin_pose
+from sysid.machine.kinematics import origin_pose, pose_of
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -88,12 +88,11 @@ def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second
         UsdGeom.Scope.Define(stage, f"{ROOT}/{group}")
     urdf = urdf_of(plant, names)
     joints = _joints(urdf)
-    inertias, poses = link_inertias(urdf), _link_poses(joints, turn, place)
+    inertias, anchor = link_inertias(urdf), pose_of(turn, place)
+    poses = _link_poses(joints, anchor)
     for link, pose in poses.items():
         _link(stage, link, pose, inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3)))))
     base = next(link for link in poses if link not in {joint.child for joint in joints})
-    anchor = np.eye(4)
-    anchor[:3, :3], anchor[:3, 3] = turn, place
     for joint in [JointEntry(names.added[ANCHOR], "", base, "fixed", anchor, np.array([1.0, 0.0, 0.0]), None, None), *joints]:
         _joint(stage, joint)
     by_name = {joint.name: joint for joint in joints}
@@ -138,13 +137,11 @@ def _joints(root: Element) -> list[JointEntry]:
     return found
 
 
-def _link_poses(joints: list[JointEntry], turn: Array, place: Array) -> dict[str, Array]:
-    """Poses (4, 4) of the links in the world, all joints at zero, parents first."""
+def _link_poses(joints: list[JointEntry], root: Array) -> dict[str, Array]:
+    """Poses (4, 4) of the links in the world, all joints at zero, parents first; ``root``: that of links without a parent."""
     children = {joint.child for joint in joints}
     roots = dict.fromkeys(joint.parent for joint in joints if joint.parent not in children)
-    first = np.eye(4)
-    first[:3, :3], first[:3, 3] = turn, place
-    poses = dict.fromkeys(roots, first)
+    poses = dict.fromkeys(roots, root)
     waiting = list(joints)
     while waiting:
         ready = [joint for joint in waiting if joint.parent in poses]

@@ -34,6 +34,7 @@ import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr
 
+from sysid.machine.kinematics import pose_of
 from sysid.networks.geometry import Geometry
 
 Array = npt.NDArray[np.float64]
@@ -211,8 +212,7 @@ def _fitted(geometry: Geometry, poses: PoseSet) -> Geometry:
         start[3:6] = np.nanmedian(poses.points - places @ turn.T, axis=(0, 1))
     fits = (least_squares(errors, start, loss="soft_l1", f_scale=_KNEE) for start in starts)
     best = min(fits, key=lambda fit: float(fit.cost)).x
-    frame = np.eye(4)
-    frame[:3, :3], frame[:3, 3] = Rotation.from_rotvec(best[:3]).as_matrix(), best[3:6]
+    frame = pose_of(Rotation.from_rotvec(best[:3]).as_matrix(), best[3:6])
     return replace(geometry, frame=frame @ geometry.frame, offsets=geometry.offsets_of_points + best[6:].reshape(count, 3))
 
 
