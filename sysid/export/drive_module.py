@@ -7,7 +7,7 @@ Shipped Python files are executed from where they were written.
 from __future__ import annotations
 
 import csv
-import importlib.util
+import importlib
 import inspect
 import re
 import sys
@@ -184,11 +184,7 @@ def used_parts(data: Mapping[str, Any]) -> list[str]:
 
 def module_of(data: Mapping[str, Any]) -> ModuleType:
     """The module for these data, executed."""
-    module = ModuleType(f"sysid_export_{uuid.uuid4().hex[:8]}")
-    module.__file__ = MODULE
-    sys.modules[module.__name__] = module  # dataclasses look their annotations up there
-    exec(compile(module_text(data), MODULE, "exec"), vars(module))
-    return module
+    return _executed(module_text(data), Path(MODULE))
 
 
 def write_drive_model(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, str]:
@@ -201,13 +197,14 @@ def write_drive_model(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, 
 
 def load_module(path: Path) -> Any:
     """A Python file as a module under a name of its own."""
-    name = f"sysid_export_{path.stem}_{uuid.uuid4().hex[:8]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their annotations up there
-    spec.loader.exec_module(module)
+    return _executed(path.read_text("utf-8"), path)
+
+
+def _executed(text: str, path: Path) -> ModuleType:
+    module = ModuleType(f"sysid_export_{path.stem}_{uuid.uuid4().hex[:8]}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses look their annotations up there
+    exec(compile(text, str(path), "exec"), vars(module))
     return module
 
 

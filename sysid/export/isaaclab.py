@@ -46,7 +46,7 @@ class IsaacLabTarget(Target):
         return Support("plugin", f"`{MODEL}`, which the drives of the joints follow")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
-        from sysid.export.torchscript.assembly import parameter_columns, save_script, script_of
+        from sysid.export.torchscript.model import parameter_columns, save_script, script_of
 
         data, written = drive_data(plant, rate_hz), self.names(plant)
         names = list(parameter_columns(plant))
@@ -107,7 +107,7 @@ class TorchModel:
     def __init__(self, path: Path, offsets: list[float]) -> None:
         import torch
 
-        from sysid.export.torchscript.assembly import load_script
+        from sysid.export.torchscript.model import load_script
 
         self.torch: Any = torch
         self.module = load_script(path)

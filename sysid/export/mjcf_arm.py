@@ -28,7 +28,7 @@ from sysid.export.mjcf_bodies import (
     steps_of,
     write_model,
 )
-from sysid.export.mjcf_drives import dry_friction, limit
+from sysid.export.mjcf_drives import add_actuator, dry_friction, limit
 from sysid.export.standalone.parts import SensorReading, axis_parameters
 from sysid.names import listed
 from sysid.plant import Plant, compile_plant
@@ -123,8 +123,6 @@ def _spec_of(plant: Plant, found: ArmInertia, rate_hz: float) -> tuple[Any, dict
 
 def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, name: str, step: float) -> dict[str, Any]:
     """Complete the joint of an axis and add its actuator; returns its row of the table."""
-    import mujoco
-
     axis, scale = plant.machine.axes[i], float(found.scales[i])
     joint, offset = spec.joint(name), effect_slots(plant, "joint_offset", axis.name).get("offset", 0.0)
     laws = [(law, values) for law in FRICTIONS if (values := effect_slots(plant, law, axis.name))]
@@ -137,8 +135,7 @@ def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, name: str, step: f
     dry_friction(joint, means.get("coulomb_friction", 0.0), step)
     if axis.limits is not None:
         limit(joint, [end + offset for end in axis.limits], step)
-    actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator = add_actuator(spec, axis.name, joint)
     actuator.gainprm[0] = effect_slots(plant, "force_constant_error", axis.name).get("ratio", 1.0) / scale
     actuator.biasprm[0] = -effect_slots(plant, "load_bias", axis.name).get("force", 0.0) / scale
     mode = "native" if native else "friction"

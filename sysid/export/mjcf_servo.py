@@ -18,7 +18,7 @@ from sysid.errors import SettingsError
 from sysid.export.drive_data import effect_slots, sensor_readings
 from sysid.export.drive_module import load_module, with_classes
 from sysid.export.mjcf_bodies import FILE, add_bodies, model_names, new_spec, passive_joints, steps_of, write_model
-from sysid.export.mjcf_drives import dry_friction, limit
+from sysid.export.mjcf_drives import add_actuator, dry_friction, limit
 from sysid.export.standalone.parts import SensorReading
 from sysid.export.target import Start
 from sysid.export.urdf import LinkInertias
@@ -140,8 +140,7 @@ def _axis(spec: Any, plant: Plant, i: int, name: str, step: float) -> dict[str, 
     if width > 0.0:
         behind = joint.parent.add_joint(name=f"{joint.name}_backlash", type=joint.type, axis=joint.axis, pos=joint.pos)
         limit(behind, [-0.5 * width, 0.5 * width], step)
-    actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator = add_actuator(spec, axis.name, joint)
     actuator.gainprm[0], actuator.biasprm[:3] = kp, [0.0, -kp, -kv]
     if math.isfinite(low) or math.isfinite(high):
         actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE
