@@ -14,11 +14,10 @@ import numpy.typing as npt
 from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
 from sysid.export.names import MachineNames, Names, identifier
-from sysid.export.posterior import posterior
+from sysid.export.posterior import indices_of, posterior
 from sysid.export.target import Simulation, Support, Target
 from sysid.export.urdf import COMPOSED, FIXED_WORLD, urdf_names, urdf_of, urdf_simulation, xml_text
 from sysid.plant import Plant
-from sysid.plant.layout import parameter_indices
 
 Array = npt.NDArray[np.float64]
 FILE, ABOUT, MODEL, URDF = "isaaclab_machine.py", "isaaclab_machine.json", "drive_model.pt", "robot.urdf"
@@ -83,10 +82,7 @@ def posterior_columns(plant: Plant, columns: dict[str, int]) -> dict[str, list[i
     order = {index: k for k, index in enumerate(columns.values())}
     found = {}
     for name, place in zip(posterior(plant, 1, 0).columns, plant.uncertainty.places, strict=True):
-        groups = parameter_indices(
-            plant.machine.axis_names, place.effect, place.target, place.side, place.parameter, plant.streams
-        )
-        found[name] = [order[index] for index in groups[place.component] if index in order]
+        found[name] = [order[index] for index in indices_of(plant, place) if index in order]
     return found
 
 
@@ -94,10 +90,7 @@ def reachable(plant: Plant) -> Array:
     """Parameter vectors (2, N) whose largest values contain the draws: the plant's, and with six standard deviations more."""
     thetas = np.tile(plant.vector(), (2, 1))
     for place, variance in zip(plant.uncertainty.places, np.diag(plant.uncertainty.covariance), strict=True):
-        groups = parameter_indices(
-            plant.machine.axis_names, place.effect, place.target, place.side, place.parameter, plant.streams
-        )
-        thetas[1, groups[place.component]] += 6.0 * np.sqrt(variance)
+        thetas[1, indices_of(plant, place)] += 6.0 * np.sqrt(variance)
     return thetas
 
 

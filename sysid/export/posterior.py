@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,11 +55,16 @@ class Posterior:
 def posterior(plant: Plant, count: int, seed: int) -> Posterior:
     """``count`` draws of the parameters whose uncertainty the plant knows (:meth:`sysid.plant.Plant.sample`)."""
     places, thetas = plant.uncertainty.places, plant.sample(count, seed)
-    names = plant.machine.axis_names
-    groups = [parameter_indices(names, p.effect, p.target, p.side, p.parameter, plant.streams) for p in places]
-    values = [thetas[:, group[p.component][0]] for p, group in zip(places, groups, strict=True)]
+    values = [thetas[:, indices_of(plant, place)[0]] for place in places]
     units = tuple(parameter_unit(p.effect, p.parameter, p.target, plant.machine) for p in places)
     return Posterior(tuple(map(_column, places)), units, np.column_stack(values) if values else np.zeros((count, 0)))
+
+
+def indices_of(plant: Plant, place: PlantNumber) -> Sequence[int]:
+    """Indices in the vector of a plant of one of its numbers."""
+    names = plant.machine.axis_names
+    groups = parameter_indices(names, place.effect, place.target, place.side, place.parameter, plant.streams)
+    return groups[place.component]
 
 
 def write_posterior(found: Posterior, folder: Path) -> tuple[str, ...]:

@@ -155,15 +155,12 @@ def inspect_file(
     if not path.exists():
         raise InputError(path, "no such file", "a log file", "Check the path.")
     chosen = reader_named(reader, path) if reader is not None else reader_for(path)
-    size = path.stat().st_size
     si_factor("1")  # loads the unit library here once, not in the process of every file
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
         return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz, rate_hz), path, budget.limits, _SUMMARIES)
-    except InputError as error:
-        return FileSummary(path, chosen.name, size, refusal=str(error))
-    except PermissionError:
-        return FileSummary(path, chosen.name, size, refusal=f"{path}: may not be read (permission denied)")
+    except (InputError, PermissionError) as error:
+        return FileSummary(path, chosen.name, path.stat().st_size, refusal=_refusal(path, error))
 
 
 def inspect_here(
@@ -194,11 +191,15 @@ def inspect_here(
             summary = replace(summary, stated={**stated, "length_unit": likely})
             streams = chosen.read(path, _preview(summary, dbc))
     except InputError as error:
-        return replace(summary, streams=_bare(path, chosen, summary.columns), refusal=str(error))
-    except PermissionError:
-        return replace(summary, refusal=f"{path}: may not be read (permission denied)")
+        return replace(summary, streams=_bare(path, chosen, summary.columns), refusal=_refusal(path, error))
+    except PermissionError as error:
+        return replace(summary, refusal=_refusal(path, error))
     losses = tuple(dict.fromkeys(loss for stream in streams for loss in (*stream.losses, *stream.left_out)))
     return replace(summary, streams=tuple(summarise(stream) for stream in streams), losses=losses)
+
+
+def _refusal(path: Path, error: Exception) -> str:
+    return f"{path}: may not be read (permission denied)" if isinstance(error, PermissionError) else str(error)
 
 
 def _preview(summary: FileSummary, dbc: Path | None) -> ReadOptions:

@@ -57,9 +57,8 @@ class MatReader(TableReader):
         chosen = _chosen(variables, options)
         rows = _rows(chosen, options)
         if rows is not None:
-            unread |= {
-                name: f"{_size(v)} numbers instead of {rows} rows" for name, v in variables.items() if rows not in v.shape
-            }
+            others = {name: " × ".join(map(str, v.shape)) for name, v in variables.items() if rows not in v.shape}
+            unread |= {name: f"{size} numbers instead of {rows} rows" for name, size in others.items()}
         table = Table(_columns(path, chosen, rows, budget, options, unread), (), unread, tuple(variables))
         return (table_stream(path, table, options, units_in_headers=False),)
 
@@ -175,10 +174,6 @@ def _rows(variables: Mapping[str, MatVariable], options: ReadOptions) -> int | N
         return _usual_length(vectors)
     time = options.time if options.time is not None else next((name for name in TIME_NAMES if name in vectors), None)
     return vectors[time].count if time in vectors else None
-
-
-def _size(variable: MatVariable) -> str:
-    return " × ".join(map(str, variable.shape))
 
 
 def _usual_length(vectors: Mapping[str, MatVariable]) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -29,24 +31,35 @@ class ParquetReader(TableReader):
         return (table_stream(path, self.table(path, options), options),)
 
     def table(self, path: Path, options: ReadOptions = ALL) -> Table:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         budget = options.budget_of(path, "a Parquet file", None)
-        try:
-            with pq.ParquetFile(path) as file:
-                budget.check_columns(path, file.metadata.num_columns)
-                kinds = {field.name: _kind(field.type) for field in file.schema_arrow}
-                headers = tuple(name for name, kind in kinds.items() if kind)
-                names = [n for n in headers if is_wanted(n, options) or (options.time is None and kinds[n] == "datetime64[ns]")]
-                rows = file.metadata.num_rows  # a few bytes may claim any number
-                budget.check_numbers(path, rows * len(names))
-                columns = [(name, _values(file, name, kinds[name], rows, options)) for name in names]
-                others = [field for field in file.schema_arrow if not kinds[field.name]]
-                unread = {split_header(field.name)[0]: _unread(file, field, budget) for field in others}
-        except (pa.ArrowException, OSError, ValueError, KeyError) as error:  # also names that are no text
-            raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
+        with reading_parquet(path, "a Parquet file") as file:
+            budget.check_columns(path, file.metadata.num_columns)
+            kinds = {field.name: _kind(field.type) for field in file.schema_arrow}
+            headers = tuple(name for name, kind in kinds.items() if kind)
+            names = [n for n in headers if is_wanted(n, options) or (options.time is None and kinds[n] == "datetime64[ns]")]
+            rows = file.metadata.num_rows  # a few bytes may claim any number
+            budget.check_numbers(path, rows * len(names))
+            columns = [(name, _values(file, name, kinds[name], rows, options)) for name in names]
+            others = [field for field in file.schema_arrow if not kinds[field.name]]
+            unread = {split_header(field.name)[0]: _unread(file, field, budget) for field in others}
         return Table(columns, (), unread, headers)
+
+
+@contextmanager
+def reading_parquet(path: Path, expected: str) -> Iterator[Any]:
+    """The file, opened; whatever a damaged one causes, also names that are no text, is an error of the file.
+
+    Raises:
+        InputError: not readable.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(path) as file:
+            yield file
+    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+        raise InputError(path, f"not readable as Parquet ({error})", expected) from None
 
 
 def _kind(kind: Any) -> str:

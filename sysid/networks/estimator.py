@@ -19,8 +19,8 @@ from sklearn.model_selection import GroupShuffleSplit, ShuffleSplit, check_cv
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sysid.errors import SettingsError
-from sysid.networks.member import EnsembleMember, LearningCurve, TrainingSettings
-from sysid.networks.mlp import Mlp, Rectifier
+from sysid.networks.member import EnsembleMember, TrainingSettings
+from sysid.networks.mlp import Rectifier
 from sysid.networks.training import train
 
 Array = npt.NDArray[np.float64]
@@ -121,9 +121,6 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             for number in range(self.members)
         ]
 
-    def _take(self, networks: tuple[Mlp, ...], learning_curves: tuple[LearningCurve, ...]) -> None:
-        self.networks_, self.learning_curves_ = networks, learning_curves
-
 
 #: An estimator, its rows X and y, and their groups.
 Task = tuple[NetworkRegressor, npt.ArrayLike, npt.ArrayLike, npt.ArrayLike | None]
@@ -145,7 +142,8 @@ def fit_together(tasks: Sequence[Task]) -> None:
         trained = iter(train(whole, tuple(first.hidden), first._settings(), first.random_state))
         for estimator, members in group:
             results = [next(trained) for _ in members]
-            estimator._take(tuple(one.mlp for one in results), tuple(one.curve for one in results))
+            estimator.networks_ = tuple(one.mlp for one in results)
+            estimator.learning_curves_ = tuple(one.curve for one in results)
 
 
 def cross_validate(

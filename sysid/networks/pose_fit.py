@@ -297,7 +297,9 @@ class SubsetEvidence:
         """The subset from which no addition, exchange or removal raises the evidence by :data:`MIN_GAIN`."""
         best = start
         for _ in range(_MOST_STEPS):
-            for neighbours, price in ((self._smaller(best), -MIN_GAIN), (self._larger(best), MIN_GAIN)):
+            smaller = [best - {parameter} for parameter in sorted(best)]
+            larger = [best | {parameter} for parameter in self.candidates if parameter not in best]
+            for neighbours, price in ((smaller, -MIN_GAIN), (larger, MIN_GAIN)):
                 found = max(neighbours, key=self, default=best)
                 if found != best and self(found) > self(best) + price:
                     best = found
@@ -325,12 +327,6 @@ class SubsetEvidence:
                 instead = keys[alternative]
             found[parameter] = Support(self(members) - self(rest), instead)
         return found
-
-    def _larger(self, members: Set) -> list[Set]:
-        return [members | {parameter} for parameter in self.candidates if parameter not in members]
-
-    def _smaller(self, members: Set) -> list[Set]:
-        return [members - {parameter} for parameter in sorted(members)]
 
     def _exchanged(self, members: Set) -> list[Set]:
         """One parameter for one other of the same joint or of the same kind."""
