@@ -93,12 +93,6 @@ class Topic:
         """Number of stamps and values kept."""
         return self.log.found + self.publish.found + self.decoder.columns.held
 
-    def expect(self, count: int) -> None:
-        """Reserve for the messages of this topic that the file states."""
-        columns = self.decoder.columns
-        columns.stated += count
-        self.log.expected = self.publish.expected = columns.stated
-
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
         """The stream. Clocks: ``header`` where a stamp is set in the messages, ``log``, ``publish`` where the file has it."""
         found = self.decoder.columns
