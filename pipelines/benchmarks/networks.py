@@ -254,18 +254,19 @@ def predictions(calls: int = 500, repeats: int = 21) -> dict[str, list[float]]:
 
     kinematics, joints, angles = crane().machine.kinematics(), tuple("abcd"), (True, True, True, False)
     assert kinematics is not None
-    poses, ends = rng.uniform(-1.0, 1.0, (POSES, 4)), (np.zeros(4), np.ones(4))
+    poses = rng.uniform(-1.0, 1.0, (POSES, 4))
+    common: dict[str, Any] = {"joints": joints, "revolute": angles, "low": np.zeros(4), "high": np.ones(4)}
     geometry = Geometry(kinematics)
     count = len(geometry.parameters)
     calibrated = Calibration(geometry, rng.normal(0.0, 1e-3, count) * ~geometry.elastic, np.eye(count), 1e-3, ())
     chain = fit_chain(poses, kinematics.tip_position(poses), angles)
-    rest = (perceptron(7, (32, 32), 3),)
+    rest: dict[str, Any] = {"members": (perceptron(7, (32, 32), 3),), "urdf": "", "bound": 0.01}
     models: dict[str, tuple[Any, int]] = {
         "boom": (perceptron(1, LAYERS["boom"], 1), 1),
         "stick": (perceptron(1, LAYERS["stick"], 1), 1),
-        "forward": (ForwardNetwork(joints, angles, "joints", (perceptron(4, LAYERS["forward"], 3),), *ends), 4),
-        "forward_structured": (StructuredForward(joints, angles, calibrated, "", rest, 0.01, *ends), 4),
-        "forward_chain": (StructuredForward(joints, angles, chain, "", rest, 0.01, *ends), 4),
+        "forward": (ForwardNetwork(**common, features="joints", members=(perceptron(4, LAYERS["forward"], 3),)), 4),
+        "forward_structured": (StructuredForward(**common, **rest, structure=calibrated), 4),
+        "forward_chain": (StructuredForward(**common, **rest, structure=chain), 4),
     }
     works: dict[str, Callable[[], object]] = {}
     for name, (model, d_in) in models.items():

@@ -140,7 +140,8 @@ def networks(
         for seed, rows in zip(SEEDS, sets, strict=True):
             own = tuple(one.mlp for key, one in zip(keys, trained, strict=True) if key == (variant, seed))
             low, high = rows.captured.min(axis=0), rows.captured.max(axis=0)
-            found[variant].append(ForwardNetwork(JOINTS, ANGLES, variant.features, own, low, high))
+            network = ForwardNetwork(joints=JOINTS, revolute=ANGLES, features=variant.features, members=own, low=low, high=high)
+            found[variant].append(network)
     return found
 
 

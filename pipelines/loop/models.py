@@ -36,7 +36,10 @@ def forward_of(plant: Plant) -> StructuredForward:
     found = calibrate(Geometry(kinematics), joints, tips, *unknown, elastic=False)
     signals = tuple(f"{axis.name}.joint" for axis in machine.axes)
     turning = tuple(not kinematics.joints[axis.joint].prismatic for axis in machine.axes)
-    return StructuredForward(signals, turning, found, machine.urdf_text or "", (), 0.0, low, high)
+    return StructuredForward(
+        joints=signals, revolute=turning, members=(), low=low, high=high,
+        structure=found, urdf=machine.urdf_text or "", bound=0.0,
+    )  # fmt: skip
 
 
 def register_forward(registry: Registry, plant: Plant) -> str:

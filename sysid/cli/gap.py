@@ -156,7 +156,7 @@ def write_model(
 
 def show_card(out: Printer, card: ActuatorCard, result: GapResult) -> dict[str, Any]:
     """The values of a result beside those of a card; returns them as values for JSON."""
-    from sysid.actuators.compare import compared, comparison_table
+    from sysid.actuators.words import compared, comparison_table
 
     rows = list(compared(card, result.written))
     out.show(comparison_table(card, rows))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sysid.effects import CATALOGUE, effect_named
 from sysid.effects.base_misalignment import EFFECT as BASE
-from sysid.machine.kinematics import GRAVITY, rotation_about
+from sysid.machine.kinematics import GRAVITY, rotation_by
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.layout import AT, AXIS_WIDTH, neutral_vector, signal_place, signals_of, slot_indices
 from sysid.plant.machine_arrays import (
@@ -182,10 +182,8 @@ def _kinematics(model: Model) -> dict[str, Any] | None:
     at = base + AT.tip_offset
     tip = _shift(theta, links, len(links) - 1) + theta[at : at + 3]
     at = base + AT.base_misalignment
-    translation, rotation = theta[at : at + 3], theta[at + 3 : at + 6]
+    translation, turn = theta[at : at + 3], rotation_by(theta[at + 3 : at + 6])
     assert [slot.name[:4] for slot in BASE.slots] == ["tran"] * 3 + ["rota"] * 3
-    angle = float(np.linalg.norm(rotation))
-    turn = rotation_about(rotation / angle, np.array([angle]))[0] if angle > 0.0 else np.eye(3)
     return {
         "joints": joints, "tip": tip.tolist(), "base_rotation": turn.tolist(), "base_translation": translation.tolist()
     }  # fmt: skip

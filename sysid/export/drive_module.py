@@ -7,12 +7,12 @@ Shipped Python files are executed from where they were written.
 from __future__ import annotations
 
 import csv
-import importlib.util
+import importlib
 import inspect
 import re
 import sys
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -184,49 +184,46 @@ def used_parts(data: Mapping[str, Any]) -> list[str]:
 
 def module_of(data: Mapping[str, Any]) -> ModuleType:
     """The module for these data, executed."""
-    module = ModuleType(f"sysid_export_{uuid.uuid4().hex[:8]}")
-    module.__file__ = MODULE
-    sys.modules[module.__name__] = module  # dataclasses look their annotations up there
-    exec(compile(module_text(data), MODULE, "exec"), vars(module))
-    return module
-
-
-def data_text(data: Mapping[str, Any]) -> str:
-    """The data as JSON."""
-    return json_text(data)
+    return _executed(module_text(data), Path(MODULE))
 
 
 def write_drive_model(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, str]:
     """Write the drive model of a plant; returns the names of its two files."""
     data = drive_data(plant, rate_hz)
     (folder / MODULE).write_text(module_text(data), "utf-8")
-    (folder / DATA).write_text(data_text(data), "utf-8")
+    (folder / DATA).write_text(json_text(data), "utf-8")
     return MODULE, DATA
 
 
 def load_module(path: Path) -> Any:
     """A Python file as a module under a name of its own."""
-    name = f"sysid_export_{path.stem}_{uuid.uuid4().hex[:8]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their annotations up there
-    spec.loader.exec_module(module)
+    return _executed(path.read_text("utf-8"), path)
+
+
+def _executed(text: str, path: Path) -> ModuleType:
+    module = ModuleType(f"sysid_export_{path.stem}_{uuid.uuid4().hex[:8]}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses look their annotations up there
+    exec(compile(text, str(path), "exec"), vars(module))
     return module
 
 
-class DriveModelSimulation:
-    """The shipped drive model as the simulation of an export."""
+class ModelSimulation:
+    """A model with the methods of the shipped drive model as the simulation of an export; ``signals``: those of its state."""
 
-    def __init__(self, plant: Plant, model: Any) -> None:
-        self.plant, self.model = plant, model
+    def __init__(self, model: Any, signals: Callable[[Any], Mapping[str, float]]) -> None:
+        self.model, self.signals = model, signals
 
     def reset(self, start: Start) -> Mapping[str, float]:
-        return true_signals(self.plant, self.model.reset(start.joints, start.drive, start.commands, start.speeds))
+        return self.signals(self.model.reset(start.joints, start.drive, start.commands, start.speeds))
 
     def step(self, commands: Array) -> Mapping[str, float]:
-        return true_signals(self.plant, self.model.step(commands))
+        return self.signals(self.model.step(commands))
+
+
+def drive_simulation(plant: Plant, model: Any) -> ModelSimulation:
+    """The drive model of a plant alone."""
+    return ModelSimulation(model, lambda state: true_signals(plant, state))
 
 
 def true_signals(plant: Plant, state: Any) -> dict[str, float]:
@@ -247,12 +244,19 @@ EFFECTS = "effects.csv"
 
 def write_effect_table(plant: Plant, folder: Path) -> str:
     """Write the table; returns its name."""
-    with (folder / EFFECTS).open("w", newline="", encoding="utf-8") as file:
+    rows = []
+    for item in plant.effects:
+        for name, value in item.parameters.items():
+            unit = parameter_unit(item.name, name, item.target, plant.machine)
+            for k, number in enumerate(np.atleast_1d(np.asarray(value, dtype=np.float64))):
+                rows.append((item.name, item.target, item.side or "", name, k, number, unit))
+    return write_csv(folder / EFFECTS, ("effect", "target", "side", "parameter", "component", "value", "unit"), rows)
+
+
+def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Write a table, its floats so that they are read as they are; returns its name."""
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(("effect", "target", "side", "parameter", "component", "value", "unit"))
-        for item in plant.effects:
-            for name, value in item.parameters.items():
-                unit = parameter_unit(item.name, name, item.target, plant.machine)
-                for k, number in enumerate(np.atleast_1d(np.asarray(value, dtype=np.float64))):
-                    writer.writerow((item.name, item.target, item.side or "", name, k, repr(float(number)), unit))
-    return EFFECTS
+        writer.writerow(header)
+        writer.writerows([[repr(float(v)) if isinstance(v, (float, np.floating)) else v for v in row] for row in rows])
+    return path.name

@@ -99,11 +99,6 @@ class Export:
         }
 
 
-def nothing_beside(folder: Path) -> tuple[str, ...]:
-    """No further files of an export."""
-    return ()
-
-
 def export_plant(
     plant: Plant,
     dataset: Dataset | None,
@@ -113,7 +108,7 @@ def export_plant(
     force: bool = False,
     samples: int = SAMPLES,
     seed: int = SEED,
-    beside: Callable[[Path], tuple[str, ...]] = nothing_beside,
+    beside: Callable[[Path], tuple[str, ...]] = lambda folder: (),
     unreplayed: str = NOT_INSTALLED,
 ) -> Export:
     """Write a plant for another simulator.
@@ -133,28 +128,31 @@ def export_plant(
     check_folder(folder)
     if dataset is not None:  # it may have another rate than that from which the plant comes; files and replay have one
         plant = replace(plant, machine=replace(plant.machine, rate_hz=dataset.machine.rate_hz))
-    if moves_masses(plant.machine) and not target.arms:
-        where = f"export of {plant.reference or plant.machine.name} to {target.name}"
-        arms = "force axes that move links with masses, whose motion is that of a rigid-body simulation"
-        raise SettingsError(where, arms, "other axes", "--to mjcf writes masses, payload and friction of an arm.")
-    if has_servos(plant) and not target.arms:
-        where = f"export of {plant.reference or plant.machine.name} to {target.name}"
-        servos = "servo axes, whose motion is that of a rigid-body simulation with their controllers"
-        remedy = (
-            "--to mjcf writes them; sysid init --kind response describes servos by their responses, which all targets have."
-        )
-        raise SettingsError(where, servos, "other axes", remedy)
+    reference, rate = plant.reference or plant.machine.name, plant.machine.rate_hz
+    if not target.arms:
+        _check_arms(plant, f"export of {reference} to {target.name}")
     make_folder(folder.parent)
     half = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.part")
-    half.mkdir()
+
+    def write(target: Target) -> Export:
+        half.mkdir()
+        files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half), *beside(half))
+        names, lacks, renamed = (*files, REPLAY, PAGE), tuple(lacking(plant, target)), target.names(plant).changed
+        found = None if dataset is None else _replayed(plant, target, half, dataset)
+        source, units = (None, {}) if dataset is None else (dataset.reference, dataset.units)
+        made = Export(reference, target.name, folder, names, found, lacks, renamed, unreplayed)
+        (half / REPLAY).write_text(json.dumps({**made.to_json(), "dataset": source}, indent=1), "utf-8")
+        (half / PAGE).write_text(export_page(plant, target, rate, names, found or unreplayed, units), "utf-8")
+        shutil.rmtree(half / "__pycache__", ignore_errors=True)
+        return made
+
     try:
         with written_to(half, folder):
-            found = _write(plant, dataset, target, half, folder, samples, seed, beside, unreplayed)
+            found = write(target)
             while found.replay is not None and not found.replay.agrees and (simpler := fallback(target, plant)) is not None:
                 shutil.rmtree(half)
-                half.mkdir()
                 target = simpler
-                found = _write(plant, dataset, target, half, folder, samples, seed, beside, unreplayed)
+                found = write(target)
         if found.replay is not None and not found.replay.agrees and not force:
             units = dataset.units if dataset is not None else {}
             raise SettingsError(f"export of {found.plant} to {target.name}", *_disagreement(found, units))
@@ -166,6 +164,21 @@ def export_plant(
     return found
 
 
+def _check_arms(plant: Plant, where: str) -> None:
+    """Raise SettingsError where the motion of axes is that of a rigid-body simulation."""
+    what = remedy = ""
+    if moves_masses(plant.machine):
+        what = "force axes that move links with masses, whose motion is that of a rigid-body simulation"
+        remedy = "--to mjcf writes masses, payload and friction of an arm."
+    elif has_servos(plant):
+        what = "servo axes, whose motion is that of a rigid-body simulation with their controllers"
+        remedy = (
+            "--to mjcf writes them; sysid init --kind response describes servos by their responses, which all targets have."
+        )
+    if what:
+        raise SettingsError(where, what, "other axes", remedy)
+
+
 def check_folder(folder: Path) -> None:
     """Raise SettingsError where a folder contains something else than an earlier export."""
     if folder.exists() and not folder.is_dir():
@@ -175,29 +188,15 @@ def check_folder(folder: Path) -> None:
         raise SettingsError(f"--out {folder}", "a folder with other files", expected)
 
 
-def _write(
-    plant: Plant, dataset: Dataset | None, target: Target, half: Path, folder: Path, samples: int, seed: int,
-    beside: Callable[[Path], tuple[str, ...]], unreplayed: str,
-) -> Export:  # fmt: skip
-    rate = plant.machine.rate_hz
-    files = (*target.write(plant, rate, half), *write_posterior(posterior(plant, samples, seed), half), *beside(half))
-    simulation = target.simulation(plant, half) if dataset is not None else None
-    found = None if simulation is None or dataset is None else _replayed(plant, simulation, dataset, target.resolution)
-    names = (*files, REPLAY, PAGE)
-    reference, renamed = plant.reference or plant.machine.name, target.names(plant).changed
-    made = Export(reference, target.name, folder, names, found, tuple(lacking(plant, target)), renamed, unreplayed)
-    source, units = (dataset.reference, dataset.units) if dataset is not None else (None, {})
-    (half / REPLAY).write_text(json.dumps({**made.to_json(), "dataset": source}, indent=1), "utf-8")
-    (half / PAGE).write_text(export_page(plant, target, rate, names, found or unreplayed, units), "utf-8")
-    shutil.rmtree(half / "__pycache__", ignore_errors=True)
-    return made
-
-
-def _replayed(plant: Plant, simulation: Simulation | ForceSimulation, dataset: Dataset, resolution: float) -> Replay:
+def _replayed(plant: Plant, target: Target, folder: Path, dataset: Dataset) -> Replay | None:
+    """The replay of written files; None where they cannot run here."""
+    simulation = target.simulation(plant, folder)
+    if simulation is None:
+        return None
     recordings, noise = held_out(dataset), noise_levels(dataset)
     if moves_masses(plant.machine):
         return force_replay(plant, cast("ForceSimulation", simulation), recordings, noise)
-    return replay(plant, cast("Simulation", simulation), recordings, noise, resolution)
+    return replay(plant, cast("Simulation", simulation), recordings, noise, target.resolution)
 
 
 def held_out(dataset: Dataset) -> Sequence[Recording]:

@@ -14,24 +14,22 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.export.drive_data import WITHOUT_PART
 from sysid.export.drive_module import MODULE, write_drive_model
 from sysid.export.names import MachineNames, axis_names
-from sysid.export.target import Simulation, Start, Support
+from sysid.export.target import Simulation, Start, Support, Target
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
 FILE, SLAVE = "Machine.fmu", "fmu_slave.py"
 
 
-class FmuTarget:
+class FmuTarget(Target):
     """FMI 2.0, for co-simulation."""
 
     name = "fmu"
     title = "FMI 2.0 (co-simulation)"
-    modules: tuple[str, ...] = ("pythonfmu", "fmpy")
-    resolution, arms = 0.0, False
-    notes: tuple[str, ...] = (
+    modules = ("pythonfmu", "fmpy")
+    notes = (
         "The FMU needs a Python with NumPy on the machine that runs it (PythonFMU embeds the interpreter that it finds).",
         "A communication step is a whole number of samples. Outputs are the readings of the sensors.",
     )
@@ -39,9 +37,7 @@ class FmuTarget:
     def names(self, plant: Plant) -> MachineNames:
         return axis_names(plant.machine.name, plant.machine.axis_names)
 
-    def support(self, effect: Effect) -> Support:
-        if effect.name in WITHOUT_PART:
-            return Support("not_representable", WITHOUT_PART[effect.name])
+    def otherwise(self, effect: Effect) -> Support:
         return Support("plugin", f"`{MODULE}` inside the FMU")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:

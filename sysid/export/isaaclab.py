@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,26 +12,25 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.export.drive_data import WITHOUT_PART, drive_data
+from sysid.export.drive_data import drive_data
 from sysid.export.names import MachineNames, Names, identifier
-from sysid.export.posterior import posterior
-from sysid.export.target import Simulation, Support
-from sysid.export.urdf import COMPOSED, FIXED_WORLD, UrdfSimulation, urdf_names, urdf_of, xml_text
+from sysid.export.posterior import indices_of, posterior
+from sysid.export.target import Simulation, Support, Target
+from sysid.export.urdf import COMPOSED, FIXED_WORLD, urdf_names, urdf_of, urdf_simulation, xml_text
 from sysid.plant import Plant
-from sysid.plant.layout import parameter_indices
 
 Array = npt.NDArray[np.float64]
 FILE, ABOUT, MODEL, URDF = "isaaclab_machine.py", "isaaclab_machine.json", "drive_model.pt", "robot.urdf"
 
 
-class IsaacLabTarget:
+class IsaacLabTarget(Target):
     """Isaac Lab 2.x."""
 
     name = "isaaclab"
     title = "TorchScript for Isaac Lab"
-    modules: tuple[str, ...] = ("torch", "mujoco")
-    resolution, arms = 0.0, False
-    notes: tuple[str, ...] = (
+    modules = ("torch", "mujoco")
+    composed: Mapping[str, str] = {effect: f"`{URDF}`: {how}" for effect, how in COMPOSED.items()}
+    notes = (
         f"Isaac Lab was not run here. `{FILE}` follows the documentation of Isaac Lab 2.x (actuators, events, URDF assets).",
         f"For the replay `{MODEL}` is loaded and moves the joints, and MuJoCo reads `{URDF}` and computes the end effector.",
         "The module is batched: its state and its parameters, a row for each environment, are inputs. It computes in float64.",
@@ -41,15 +41,11 @@ class IsaacLabTarget:
         """Those of USD, into which Isaac Lab converts the URDF."""
         return urdf_names(plant, Names([FIXED_WORLD], identifier), Names(form=identifier))
 
-    def support(self, effect: Effect) -> Support:
-        if effect.name in COMPOSED:
-            return Support("composed", f"`{URDF}`: {COMPOSED[effect.name]}")
-        if effect.name in WITHOUT_PART:
-            return Support("not_representable", WITHOUT_PART[effect.name])
+    def otherwise(self, effect: Effect) -> Support:
         return Support("plugin", f"`{MODEL}`, which the drives of the joints follow")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
-        from sysid.export.torchscript.assembly import parameter_columns, save_script, script_of
+        from sysid.export.torchscript.model import parameter_columns, save_script, script_of
 
         data, written = drive_data(plant, rate_hz), self.names(plant)
         names = list(parameter_columns(plant))
@@ -78,8 +74,7 @@ class IsaacLabTarget:
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
         offsets = [axis["offset"] for axis in json.loads((folder / ABOUT).read_text("utf-8"))["axes"]]
-        model = TorchModel(folder / MODEL, offsets)
-        return UrdfSimulation(plant, model, (folder / URDF).read_text("utf-8"), self.names(plant))
+        return urdf_simulation(plant, TorchModel(folder / MODEL, offsets), folder / URDF, self.names(plant))
 
 
 def posterior_columns(plant: Plant, columns: dict[str, int]) -> dict[str, list[int]]:
@@ -87,10 +82,7 @@ def posterior_columns(plant: Plant, columns: dict[str, int]) -> dict[str, list[i
     order = {index: k for k, index in enumerate(columns.values())}
     found = {}
     for name, place in zip(posterior(plant, 1, 0).columns, plant.uncertainty.places, strict=True):
-        groups = parameter_indices(
-            plant.machine.axis_names, place.effect, place.target, place.side, place.parameter, plant.streams
-        )
-        found[name] = [order[index] for index in groups[place.component] if index in order]
+        found[name] = [order[index] for index in indices_of(plant, place) if index in order]
     return found
 
 
@@ -98,10 +90,7 @@ def reachable(plant: Plant) -> Array:
     """Parameter vectors (2, N) whose largest values contain the draws: the plant's, and with six standard deviations more."""
     thetas = np.tile(plant.vector(), (2, 1))
     for place, variance in zip(plant.uncertainty.places, np.diag(plant.uncertainty.covariance), strict=True):
-        groups = parameter_indices(
-            plant.machine.axis_names, place.effect, place.target, place.side, place.parameter, plant.streams
-        )
-        thetas[1, groups[place.component]] += 6.0 * np.sqrt(variance)
+        thetas[1, indices_of(plant, place)] += 6.0 * np.sqrt(variance)
     return thetas
 
 
@@ -111,7 +100,7 @@ class TorchModel:
     def __init__(self, path: Path, offsets: list[float]) -> None:
         import torch
 
-        from sysid.export.torchscript.assembly import load_script
+        from sysid.export.torchscript.model import load_script
 
         self.torch: Any = torch
         self.module = load_script(path)

@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 from sysid.effects import Effect, effect_named
 from sysid.export.drive_data import WITHOUT_PART
-from sysid.export.drive_module import MODULE, DriveModelSimulation, load_module, write_drive_model
+from sysid.export.drive_module import MODULE, drive_simulation, load_module, write_drive_model
 from sysid.export.names import MachineNames, axis_names
-from sysid.export.target import Simulation, Support
+from sysid.export.target import Simulation, Support, Target
 from sysid.plant import Plant
 
 #: File with the effects and their units.
 FILE = "plant.json"
 
 
-class JsonTarget:
+class JsonTarget(Target):
     """Effects with parameters, units and equations, beside the drive model."""
 
     name = "json"
     title = "JSON and a Python module"
-    modules: tuple[str, ...] = ()
-    resolution, arms = 0.0, False
-    notes: tuple[str, ...] = ()
+    native: Mapping[str, str] = {effect: f"`{FILE}` alone ({why})" for effect, why in WITHOUT_PART.items()}
 
     def names(self, plant: Plant) -> MachineNames:
         return axis_names(plant.machine.name, plant.machine.axis_names)
 
-    def support(self, effect: Effect) -> Support:
-        if effect.name in WITHOUT_PART:
-            return Support("native", f"`{FILE}` alone ({WITHOUT_PART[effect.name]})")
+    def otherwise(self, effect: Effect) -> Support:
         return Support("native", f"`{FILE}`, computed by `{MODULE}`")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
@@ -48,4 +45,4 @@ class JsonTarget:
         return FILE, *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
-        return DriveModelSimulation(plant, load_module(folder / MODULE).load())
+        return drive_simulation(plant, load_module(folder / MODULE).load())

@@ -42,6 +42,13 @@ def following(kernel: Any, expected: str) -> Iterator[None]:
         raise SettingsError(where, str(error), expected, "Write the function with these, or leave its effect out.") from error
 
 
+def definition_of(kernel: Any) -> ast.FunctionDef:
+    """The parsed source of a kernel, or of a function that is not compiled."""
+    definition = ast.parse(textwrap.dedent(inspect.getsource(getattr(kernel, "py_func", kernel)))).body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    return definition
+
+
 def kernel_source(kernels: Iterable[Any]) -> str:
     """The source of kernels and of those that they call, each before its callers; it needs ``math``.
 
@@ -58,9 +65,7 @@ def _add(kernel: Any, texts: dict[str, str]) -> None:
     name = kernel_name(kernel)
     if name in texts:
         return
-    function = kernel.py_func
-    definition = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
-    assert isinstance(definition, ast.FunctionDef)
+    function, definition = kernel.py_func, definition_of(kernel)
     plain = _Plain(function.__globals__, definition)
     with following(function, "numbers, lists and functions of math, NumPy's isnan and floor"):
         definition = plain.visit(definition)

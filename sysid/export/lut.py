@@ -5,8 +5,7 @@ The simulation of an axis: opening table, dead time, ramp, lag, speed table, osc
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,9 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import EDGE, drive_data
-from sysid.export.drive_module import TABLE, DriveModelSimulation, module_of
+from sysid.export.drive_module import TABLE, drive_simulation, module_of, write_csv
 from sysid.export.names import MachineNames, Names, axis_names, same_file
-from sysid.export.target import Simulation, Support
+from sysid.export.target import Simulation, Support, Target
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -43,31 +42,28 @@ NUMBERS = "numbers.csv"
 LONGEST = 200
 
 
-class LutTarget:
+class LutTarget(Target):
     """CSV tables and numbers."""
 
     name = "lut"
     title = "lookup tables (CSV)"
-    modules: tuple[str, ...] = ()
-    resolution, arms = 0.0, False
-    notes: tuple[str, ...] = (
+    notes = (
         "Order of a velocity axis: opening table, dead time, ramp, lag, speed table, oscillation of the oil, integration "
         "between the end stops, linkage table. Tables are linear between their points and beyond them.",
     )
+    native: Mapping[str, str] = {
+        **dict.fromkeys(EDGE, "`<axis>_opening.csv`"),
+        **dict.fromkeys(SPEED, "`<axis>_speed.csv`"),
+        **{effect: f"`{NUMBERS}`: {block}" for effect, block in BLOCKS.items()},
+        "joint_offset": f"`{NUMBERS}`: constant",
+    }
+    not_representable: Mapping[str, str] = {}
 
     def names(self, plant: Plant) -> MachineNames:
         """The beginnings of the names of the files of an axis."""
         return axis_names(plant.machine.name, plant.machine.axis_names, Names(fold=same_file, longest=LONGEST))
 
-    def support(self, effect: Effect) -> Support:
-        if effect.name in EDGE:
-            return Support("native", "`<axis>_opening.csv`")
-        if effect.name in SPEED:
-            return Support("native", "`<axis>_speed.csv`")
-        if effect.name in BLOCKS:
-            return Support("native", f"`{NUMBERS}`: {BLOCKS[effect.name]}")
-        if effect.name == "joint_offset":
-            return Support("native", f"`{NUMBERS}`: constant")
+    def otherwise(self, effect: Effect) -> Support:
         return Support("not_representable", "needs a state or further inputs: neither a table nor a standard block")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
@@ -78,14 +74,14 @@ class LutTarget:
             numbers += [(name, *row) for row in numbers_of(axis)]
             if axis["actuation"] == "velocity":
                 opening, speed = tables(axis, 1.0 / rate_hz)
-                files += [_write(folder / f"{stem}_opening.csv", ("command [1]", "opening [1]"), opening)]
-                files += [_write(folder / f"{stem}_speed.csv", ("opening [1]", f"speed [{unit} per s]"), speed)]
+                files += [write_csv(folder / f"{stem}_opening.csv", ("command [1]", "opening [1]"), opening)]
+                files += [write_csv(folder / f"{stem}_speed.csv", ("opening [1]", f"speed [{unit} per s]"), speed)]
             if axis["linkage"] is not None:
                 link = axis["linkage"]
                 places = link["low"] + link["step"] * np.arange(len(link["joints"]))
                 header = ("cylinder [m]", "joint [rad or m]")
-                files += [_write(folder / f"{stem}_linkage.csv", header, zip(places, link["joints"], strict=True))]
-        _write(folder / NUMBERS, ("axis", "block", "quantity", "value"), numbers)
+                files += [write_csv(folder / f"{stem}_linkage.csv", header, zip(places, link["joints"], strict=True))]
+        write_csv(folder / NUMBERS, ("axis", "block", "quantity", "value"), numbers)
         return tuple(files)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
@@ -108,7 +104,7 @@ def simulation_of_tables(plant: Plant, read: Callable[[str], tuple[Array, Array]
     data |= {"pump_limit": None, "sway": None, "sensors": {}}
     data["axes"] = [_by_tables(axis, read) for axis in data["axes"]]
     module = module_of(data)
-    return DriveModelSimulation(plant, module.assemble(data, {**module.PARTS, TABLE: Table}))
+    return drive_simulation(plant, module.assemble(data, {**module.PARTS, TABLE: Table}))
 
 
 def numbers_of(axis: dict[str, Any]) -> list[tuple[str, str, float]]:
@@ -175,14 +171,6 @@ def nominal_geometry(plant: Plant) -> Plant:
     """The plant without the effects between joint and tool, which tables of axes do not contain."""
     kept = tuple(item for item in plant.effects if item.name not in ("link_length_error", "tip_offset", "base_misalignment"))
     return Plant(plant.machine, plant.linkages, kept, plant.streams)
-
-
-def _write(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([[repr(float(v)) if isinstance(v, (float, np.floating)) else v for v in row] for row in rows])
-    return path.name
 
 
 def _read(path: Path) -> Array:

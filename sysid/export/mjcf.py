@@ -3,32 +3,34 @@
 from __future__ import annotations
 
 import inspect
-import json
-import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from sysid.effects import Effect
-from sysid.export.drive_data import FRICTIONS, WITHOUT_PART, drive_data
-from sysid.export.drive_module import MODULE, load_module, write_drive_model
-from sysid.export.mjcf_arm import FILE, FRICTION_BY_LOOP, LOOP, arm_simulation, write_arm
-from sysid.export.mjcf_bodies import add_bodies, add_tool, heavier_drive, model_names, moved_by, passive_joints
+from sysid.export.drive_data import FRICTIONS, drive_data
+from sysid.export.drive_module import MODULE, ModelSimulation, load_module, write_drive_model
+from sysid.export.mjcf_arm import FRICTION_BY_LOOP, LOOP, MujocoArm, write_arm
+from sysid.export.mjcf_bodies import (
+    FILE,
+    add_bodies,
+    add_tool,
+    heavier_drive,
+    model_names,
+    moved_by,
+    new_spec,
+    passive_joints,
+    steps_of,
+    write_model,
+)
 from sysid.export.mjcf_drives import Elements, add_drive, drive_entry
 from sysid.export.mjcf_servo import MujocoServos, has_servos, write_servos
 from sysid.export.names import MachineNames
-from sysid.export.target import ForceSimulation, Simulation, Start, Support
+from sysid.export.target import ForceSimulation, Simulation, Support, Target
 from sysid.export.urdf import NOTE
 from sysid.machine.rigid_body import moves_masses
-from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.plant import Plant
 
-Array = npt.NDArray[np.float64]
 ROBOT = "mujoco_robot.py"
-#: Longest step of the integrator [s]; a sample of the machine is a whole number of steps.
-LONGEST_STEP = 1e-3
 _ELEMENTS = {
     "input_delay": "actuator `delay` and `nsample`",
     "first_order_lag": "actuator `dyntype=filterexact`",
@@ -61,7 +63,7 @@ _BY_DRIVE_MODEL = ("backlash", "gripper_sway")
 _BEFORE = ("valve_hysteresis", "valve_deadband", "gain_curve", "flow_saturation", "command_rate_limit")
 
 
-class MjcfTarget:
+class MjcfTarget(Target):
     """MuJoCo 4.
 
     Args:
@@ -71,12 +73,16 @@ class MjcfTarget:
 
     def __init__(self, most: Elements = "composed") -> None:
         self.most = most
+        self.native = {} if most == "plugin" else _ELEMENTS
+        by_drive_model = () if most == "composed" else _BY_DRIVE_MODEL
+        self.composed = {effect: how for effect, how in _COMPOSED.items() if effect not in by_drive_model}
 
     name = "mjcf"
     title = "MuJoCo"
-    modules: tuple[str, ...] = ("mujoco",)
-    resolution, arms = 0.0, True
-    notes: tuple[str, ...] = (
+    modules = ("mujoco",)
+    arms = True
+    plugin = FRICTION_BY_LOOP
+    notes = (
         "`robot.json` states the mode of each axis. `native`: its actuator takes the command. `command`: it takes what the "
         "first parts of the drive model make of the command. `drive_model`: it follows the joint of the drive model. "
         "`friction` (of an arm): `mujoco_arm.py` sets the friction of its joint before each step.",
@@ -86,15 +92,7 @@ class MjcfTarget:
     def names(self, plant: Plant) -> MachineNames:
         return model_names(plant).machine
 
-    def support(self, effect: Effect) -> Support:
-        if effect.name in _ELEMENTS and self.most != "plugin":
-            return Support("native", _ELEMENTS[effect.name])
-        if effect.name in _COMPOSED and (self.most == "composed" or effect.name not in _BY_DRIVE_MODEL):
-            return Support("composed", _COMPOSED[effect.name])
-        if effect.name in FRICTION_BY_LOOP:
-            return Support("plugin", FRICTION_BY_LOOP[effect.name])
-        if effect.name in WITHOUT_PART:
-            return Support("not_representable", WITHOUT_PART[effect.name])
+    def otherwise(self, effect: Effect) -> Support:
         if effect.name in _BEFORE:
             return Support("plugin", f"`{MODULE}`, which changes the command of the actuator")
         if effect.stage == "sensor":
@@ -111,30 +109,23 @@ class MjcfTarget:
         if has_servos(plant):
             return write_servos(plant, rate_hz, folder)
         data = drive_data(plant, rate_hz)
-        substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
-        spec, about = _spec_of(plant, data, substeps, self.most)
-        (folder / FILE).write_text(mjcf_text(spec), "utf-8")
-        (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
-        (folder / ROBOT).write_text(inspect.getsource(mujoco_robot), "utf-8")
-        return FILE, f"{Path(FILE).stem}.json", ROBOT, *write_drive_model(plant, rate_hz, folder)
+        spec, about = _spec_of(plant, data, steps_of(rate_hz), self.most)
+        files = write_model(folder, spec, about, ROBOT, inspect.getsource(mujoco_robot))
+        return *files, *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | ForceSimulation | None:
         if moves_masses(plant.machine):
-            return arm_simulation(folder)
+            return MujocoArm(folder)
         if has_servos(plant):
             return MujocoServos(folder)
-        return MujocoSimulation(load_module(folder / ROBOT).Robot(folder / FILE, load_module(folder / MODULE).load()))
+        robot = load_module(folder / ROBOT).Robot(folder / FILE, load_module(folder / MODULE).load())
+        return ModelSimulation(robot, dict)
 
 
 def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, most: Elements) -> tuple[Any, dict[str, Any]]:
     """The model, and what the shipped loop has to know of it."""
-    import mujoco
-
-    spec = mujoco.MjSpec()
-    spec.modelname = plant.machine.name
-    spec.compiler.degree = False
-    spec.option.timestep = step = data["dt"] / substeps
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    step = data["dt"] / substeps
+    spec = new_spec(plant, step)
     names, posed = model_names(plant), plant.machine.kinematics() is not None
     add_bodies(spec, plant, names.machine)
     axes, passive = [], passive_joints(plant, names.machine)
@@ -163,18 +154,3 @@ def _spec_of(plant: Plant, data: dict[str, Any], substeps: int, most: Elements) 
         gimbal = add_tool(names, tip, spec.site("ee").pos, data["sway"]["length"], data["sway"]["damping_ratio"])
     found = {"plant": plant.reference, "substeps": substeps, "posed": posed, "swings": swings, "gimbal": gimbal}
     return spec, {**found, "axes": axes, "passive": passive}
-
-
-class MujocoSimulation:
-    """The shipped loop."""
-
-    def __init__(self, robot: Any) -> None:
-        self.robot = robot
-
-    def reset(self, start: Start) -> dict[str, float]:
-        found: dict[str, float] = self.robot.reset(start.joints, start.drive, start.commands, start.speeds)
-        return found
-
-    def step(self, commands: Array) -> dict[str, float]:
-        found: dict[str, float] = self.robot.step(commands)
-        return found

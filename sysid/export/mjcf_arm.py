@@ -8,8 +8,6 @@ of the joint, friction that of the joint, and the actuator turns a command into 
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +17,26 @@ import numpy.typing as npt
 from sysid.errors import SettingsError
 from sysid.export.drive_data import FRICTIONS, effect_slots, sensor_readings
 from sysid.export.drive_module import load_module, with_classes
-from sysid.export.mjcf_bodies import PAYLOAD, TINY_INERTIA, add_bodies, model_names, passive_joints
-from sysid.export.mjcf_drives import dry_friction, limit
+from sysid.export.mjcf_bodies import (
+    FILE,
+    PAYLOAD,
+    TINY_INERTIA,
+    add_bodies,
+    model_names,
+    new_spec,
+    passive_joints,
+    steps_of,
+    write_model,
+)
+from sysid.export.mjcf_drives import add_actuator, dry_friction, limit
 from sysid.export.standalone.parts import SensorReading, axis_parameters
-from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.names import listed
 from sysid.plant import Plant, compile_plant
 from sysid.plant.arm_inertia import ArmInertia, arm_inertia
 
 Array = npt.NDArray[np.float64]
 
-FILE, LOOP = "robot.xml", "mujoco_arm.py"
-#: Longest step of the integrator [s].
-LONGEST_STEP = 1e-3
+LOOP = "mujoco_arm.py"
 #: Friction of an arm that the loop sets, beside that of an axis without masses.
 FRICTION_BY_LOOP = {"load_dependent_friction": f"`{LOOP}`, which sets the dry friction of the joint before each step"}
 #: What an arm cannot have beside its masses; effects of its geometry, friction, forces and sensors it can.
@@ -51,22 +56,16 @@ def write_arm(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
     found = arm_inertia(plant)
     spec, about = _spec_of(plant, found, rate_hz)
     about |= {"plant": plant.reference, "inertia_change": found.change}
-    (folder / FILE).write_text(mjcf_text(spec), "utf-8")
-    (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
-    (folder / LOOP).write_text(with_classes(mujoco_arm, "class JointFriction", [SensorReading, axis_parameters]), "utf-8")
-    return FILE, f"{Path(FILE).stem}.json", LOOP
-
-
-def arm_simulation(folder: Path) -> MujocoArm:
-    """The written files in MuJoCo."""
-    return MujocoArm(load_module(folder / LOOP).Arm(folder / FILE))
+    return write_model(
+        folder, spec, about, LOOP, with_classes(mujoco_arm, "class JointFriction", [SensorReading, axis_parameters])
+    )
 
 
 class MujocoArm:
     """The shipped loop as the simulation of an export."""
 
-    def __init__(self, arm: Any) -> None:
-        self.arm = arm
+    def __init__(self, folder: Path) -> None:
+        self.arm = load_module(folder / LOOP).Arm(folder / FILE)
 
     def run(self, joints: Array, speeds: Array, commands: Array) -> tuple[Array, Array, Array]:
         arm = self.arm
@@ -103,16 +102,11 @@ def _check(plant: Plant) -> None:
 
 
 def _spec_of(plant: Plant, found: ArmInertia, rate_hz: float) -> tuple[Any, dict[str, Any]]:
-    import mujoco
-
     kinematics = plant.machine.kinematics()
     assert kinematics is not None
-    substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
-    spec = mujoco.MjSpec()
-    spec.modelname = plant.machine.name
-    spec.compiler.degree = False
-    spec.option.timestep = step = 1.0 / (rate_hz * substeps)
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    substeps = steps_of(rate_hz)
+    step = 1.0 / (rate_hz * substeps)
+    spec = new_spec(plant, step)
     links = {kinematics.joints[joint].child: own for joint, own in found.bodies.items() if own.mass > 0.0}
     inertias = {link: (np.array([own.mass]), own.centre, own.moments) for link, own in links.items()}
     names = model_names(plant).machine
@@ -129,8 +123,6 @@ def _spec_of(plant: Plant, found: ArmInertia, rate_hz: float) -> tuple[Any, dict
 
 def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, name: str, step: float) -> dict[str, Any]:
     """Complete the joint of an axis and add its actuator; returns its row of the table."""
-    import mujoco
-
     axis, scale = plant.machine.axes[i], float(found.scales[i])
     joint, offset = spec.joint(name), effect_slots(plant, "joint_offset", axis.name).get("offset", 0.0)
     laws = [(law, values) for law in FRICTIONS if (values := effect_slots(plant, law, axis.name))]
@@ -143,8 +135,7 @@ def _axis(spec: Any, plant: Plant, i: int, found: ArmInertia, name: str, step: f
     dry_friction(joint, means.get("coulomb_friction", 0.0), step)
     if axis.limits is not None:
         limit(joint, [end + offset for end in axis.limits], step)
-    actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator = add_actuator(spec, axis.name, joint)
     actuator.gainprm[0] = effect_slots(plant, "force_constant_error", axis.name).get("ratio", 1.0) / scale
     actuator.biasprm[0] = -effect_slots(plant, "load_bias", axis.name).get("force", 0.0) / scale
     mode = "native" if native else "friction"

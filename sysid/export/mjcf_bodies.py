@@ -7,8 +7,11 @@ the base, with gravity turned with it, so that the world frame is the measured o
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +32,7 @@ from sysid.export.urdf import (
 )
 from sysid.machine.description import Linkage
 from sysid.machine.kinematics import GRAVITY, Joint, Kinematics
+from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.machine.urdf_tree import urdf_tree
 from sysid.plant import Plant
 
@@ -39,6 +43,35 @@ PAYLOAD = "payload"
 DRAWN = 0.01
 #: Mass [kg] and inertia [kg·m²] of a body without them beside links whose torques count: MuJoCo accepts no less than 10⁻¹⁵.
 TINY_MASS, TINY_INERTIA = 1e-12, 1e-13
+
+
+#: The model; a table of its axes has the same stem.
+FILE = "robot.xml"
+#: Longest step of an integrator [s]; a sample of the machine is a whole number of steps.
+LONGEST_STEP = 1e-3
+
+
+def steps_of(rate_hz: float) -> int:
+    """Steps in a sample of the machine, of at most :data:`LONGEST_STEP` each."""
+    return max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
+
+
+def new_spec(plant: Plant, step: float) -> Any:
+    """An ``MjSpec`` without bodies, for steps of the implicit integrator of ``step`` [s]."""
+    spec = _mujoco().MjSpec()
+    spec.modelname = plant.machine.name
+    spec.compiler.degree = False
+    spec.option.timestep = step
+    spec.option.integrator = _mujoco().mjtIntegrator.mjINT_IMPLICITFAST
+    return spec
+
+
+def write_model(folder: Path, spec: Any, about: Mapping[str, Any], loop: str, source: str) -> tuple[str, str, str]:
+    """Write a model, its table of axes and the loop that runs it; returns the names of the files."""
+    table = Path(FILE).with_suffix(".json").name
+    for name, text in ((FILE, mjcf_text(spec)), (table, json.dumps(about, indent=1)), (loop, source)):
+        (folder / name).write_text(text, "utf-8")
+    return FILE, table, loop
 
 
 @dataclass(frozen=True)

@@ -182,9 +182,7 @@ def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, 
     """
     import mujoco
 
-    kind = mujoco.mjtTrn.mjTRN_TENDON if moved.tendon else mujoco.mjtTrn.mjTRN_JOINT
-    actuator = spec.add_actuator(name=axis["name"], target=moved.element.name, trntype=kind)
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator = add_actuator(spec, axis["name"], moved.element, moved.tendon)
     parts = dict(axis["command"][entry.prefix :])
     follows = entry.mode == "drive_model"
     servo = axis["actuation"] == "position" and "second_order_lag" not in parts
@@ -208,6 +206,16 @@ def add_drive(spec: Any, axis: dict[str, Any], moved: Moved, entry: DriveEntry, 
     if not follows and delay >= step:  # the shortest that MuJoCo has
         actuator.delay = delay - 1e-3 * step  # a whole number of steps must not become one more by rounding
         actuator.nsample = math.ceil(delay / step) + 2
+
+
+def add_actuator(spec: Any, name: str, element: Any, tendon: bool = False) -> Any:
+    """Add an actuator with a fixed gain and an affine bias to a joint or tendon."""
+    import mujoco
+
+    kind = mujoco.mjtTrn.mjTRN_TENDON if tendon else mujoco.mjtTrn.mjTRN_JOINT
+    actuator = spec.add_actuator(name=name, target=element.name, trntype=kind)
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    return actuator
 
 
 def limit(element: Any, ends: list[float], step: float) -> None:

@@ -6,7 +6,6 @@ friction gives way as its constraint does. Backlash is a second joint behind tha
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,11 @@ from sysid.effects import first_order_lag
 from sysid.errors import SettingsError
 from sysid.export.drive_data import effect_slots, sensor_readings
 from sysid.export.drive_module import load_module, with_classes
-from sysid.export.mjcf_bodies import add_bodies, model_names, passive_joints
-from sysid.export.mjcf_drives import dry_friction, limit
+from sysid.export.mjcf_bodies import FILE, add_bodies, model_names, new_spec, passive_joints, steps_of, write_model
+from sysid.export.mjcf_drives import add_actuator, dry_friction, limit
 from sysid.export.standalone.parts import SensorReading
 from sysid.export.target import Start
 from sysid.export.urdf import LinkInertias
-from sysid.machine.sources.mjcf_model import mjcf_text
 from sysid.names import listed
 from sysid.plant import Model, Plant, chain, compile_plant
 from sysid.plant.arm_dynamics import mass_ratios
@@ -31,26 +29,15 @@ from sysid.plant.arm_inertia import inertial
 
 Array = npt.NDArray[np.float64]
 
-FILE, LOOP = "robot.xml", "mujoco_servos.py"
-#: Longest step of the integrator [s], where the described simulator has none.
-LONGEST_STEP = 1e-3
+LOOP = "mujoco_servos.py"
 #: Effects that the model can have.
 EFFECTS = frozenset(
-    {
-        *("input_delay", "first_order_lag", "stiffness_error", "damping_error", "force_limit", "armature_error"),
-        *(
-            "link_mass_error",
-            "viscous_friction",
-            "coulomb_friction",
-            "backlash",
-            "joint_offset",
-            "link_length_error",
-            "tip_offset",
-            "base_misalignment",
-        ),
-        *("sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew"),
-    }
-)
+    (
+        "input_delay", "first_order_lag", "stiffness_error", "damping_error", "force_limit", "armature_error",
+        "link_mass_error", "viscous_friction", "coulomb_friction", "backlash", "joint_offset", "link_length_error",
+        "tip_offset", "base_misalignment", "sensor_bias", "sensor_scale", "sensor_quantisation", "clock_offset", "clock_skew",
+    )
+)  # fmt: skip
 #: Friction that a joint of MuJoCo has in one size for both directions.
 EVEN = ("viscous_friction", "coulomb_friction")
 
@@ -70,10 +57,7 @@ def write_servos(plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
 
     _check(plant)
     spec, about = _spec_of(plant, rate_hz)
-    (folder / FILE).write_text(mjcf_text(spec), "utf-8")
-    (folder / FILE).with_suffix(".json").write_text(json.dumps(about, indent=1), "utf-8")
-    (folder / LOOP).write_text(with_classes(mujoco_servos, "class Servos", [SensorReading]), "utf-8")
-    return FILE, f"{Path(FILE).stem}.json", LOOP
+    return write_model(folder, spec, about, LOOP, with_classes(mujoco_servos, "class Servos", [SensorReading]))
 
 
 class MujocoServos:
@@ -107,18 +91,16 @@ def _check(plant: Plant) -> None:
 def _spec_of(plant: Plant, rate_hz: float) -> tuple[Any, dict[str, Any]]:
     import mujoco
 
-    spec, laws = mujoco.MjSpec(), [axis.servo for axis in plant.machine.axes]
+    laws = [axis.servo for axis in plant.machine.axes]
     stated = [law.step for law in laws if law is not None and law.step > 0.0]
     whole = round(1.0 / (rate_hz * stated[0])) if stated else 0
-    substeps = max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9))
+    substeps = steps_of(rate_hz)
     if whole and abs(whole * stated[0] * rate_hz - 1.0) < 1e-6:
         substeps = whole
-    spec.modelname = plant.machine.name
-    spec.compiler.degree = False
-    spec.option.timestep = step = 1.0 / (rate_hz * substeps)
-    explicit = any(law is not None and not law.implicit for law in laws)
-    integrators = mujoco.mjtIntegrator
-    spec.option.integrator = integrators.mjINT_EULER if explicit else integrators.mjINT_IMPLICITFAST
+    step = 1.0 / (rate_hz * substeps)
+    spec = new_spec(plant, step)
+    if any(law is not None and not law.implicit for law in laws):
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     names, model = model_names(plant).machine, compile_plant(plant)
     add_bodies(spec, plant, names, _inertias(plant, model))
     axes = [_axis(spec, plant, i, names.joint(axis.name), step) for i, axis in enumerate(plant.machine.axes)]
@@ -158,8 +140,7 @@ def _axis(spec: Any, plant: Plant, i: int, name: str, step: float) -> dict[str, 
     if width > 0.0:
         behind = joint.parent.add_joint(name=f"{joint.name}_backlash", type=joint.type, axis=joint.axis, pos=joint.pos)
         limit(behind, [-0.5 * width, 0.5 * width], step)
-    actuator = spec.add_actuator(name=axis.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator = add_actuator(spec, axis.name, joint)
     actuator.gainprm[0], actuator.biasprm[:3] = kp, [0.0, -kp, -kv]
     if math.isfinite(low) or math.isfinite(high):
         actuator.forcerange, actuator.forcelimited = [low, high], mujoco.mjtLimited.mjLIMITED_TRUE

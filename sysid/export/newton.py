@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,18 @@ import numpy.typing as npt
 
 from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
-from sysid.export.drive_module import MODULE, load_module, true_signals, write_drive_model, write_effect_table
+from sysid.export.drive_module import (
+    MODULE,
+    ModelSimulation,
+    load_module,
+    true_signals,
+    write_drive_model,
+    write_effect_table,
+)
+from sysid.export.mjcf_bodies import steps_of
 from sysid.export.names import MachineNames
-from sysid.export.target import Simulation, Start, Support, support_of
-from sysid.export.urdf import END_EFFECTOR, NOTE, joint_values
+from sysid.export.target import Simulation, Support, Target
+from sysid.export.urdf import END_EFFECTOR, NOTE, end_effector_signals, joint_values
 from sysid.export.usd_stage import (
     ANCHOR,
     SCENE,
@@ -29,14 +36,12 @@ from sysid.export.usd_stage import (
     write_drive,
     write_follower,
 )
+from sysid.machine.kinematics import pose_of
 from sysid.plant import Plant
 from sysid.plant.layout import axis_places
-from sysid.signals import point_signals
 
 Array = npt.NDArray[np.float64]
 FILE = "machine.usda"
-#: Longest step of the simulator [s]; a sample of the machine is a whole number of steps.
-LONGEST_STEP = 1e-3
 NATIVE = {
     "viscous_friction": "`newton:damping` of the joint (the same in both directions; else by the drive model)",
     "coulomb_friction": "`newton:friction` of the joint (the same in both directions; else by the drive model)",
@@ -52,15 +57,16 @@ COMPOSED = {
 }
 
 
-class NewtonTarget:
+class NewtonTarget(Target):
     """USD with the schemas of Newton."""
 
     name = "newton"
     title = "USD for Newton"
-    modules: tuple[str, ...] = ("pxr", "newton_usd_schemas")
+    modules = ("pxr", "newton_usd_schemas")
     #: UsdPhysics and the schemas of Newton have numbers of 32 bits.
-    resolution, arms = float(np.finfo(np.float32).eps), False
-    notes: tuple[str, ...] = (
+    resolution = float(np.finfo(np.float32).eps)
+    native, composed = NATIVE, COMPOSED
+    notes = (
         "Newton was not run here. The schemas of its actuators are provisional: newton-usd-schemas 0.6.",
         f"For the replay the stage is opened again: `{MODULE}` moves the joints, native axes with the stage's numbers, "
         "and the end effector is computed from the frames of the stage.",
@@ -73,12 +79,12 @@ class NewtonTarget:
     def names(self, plant: Plant) -> MachineNames:
         return usd_names(plant)
 
-    def support(self, effect: Effect) -> Support:
-        return support_of(effect, NATIVE, COMPOSED, f"`{MODULE}`, whose joint the drive follows")
+    def otherwise(self, effect: Effect) -> Support:
+        return Support("plugin", f"`{MODULE}`, whose joint the drive follows")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         stage, names = _stage_in_memory(), self.names(plant)
-        steps = round(rate_hz * max(1, math.ceil(1.0 / (rate_hz * LONGEST_STEP) - 1e-9)))
+        steps = round(rate_hz * steps_of(rate_hz))
         joints = write_bodies(stage, plant, names, steps)
         for axis in drive_data(plant, rate_hz)["axes"]:
             write_drive(stage, axis, names.axes[axis["name"]], joints[names.joint(axis["name"])], steps)
@@ -90,7 +96,8 @@ class NewtonTarget:
         return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
-        return UsdSimulation(plant, load_module(folder / MODULE).load(), folder / FILE, self.names(plant))
+        model = load_module(folder / MODULE).load()
+        return ModelSimulation(model, StageSignals(plant, model, folder / FILE, self.names(plant)))
 
 
 def _stage_in_memory() -> Any:
@@ -100,8 +107,8 @@ def _stage_in_memory() -> Any:
     return Usd.Stage.CreateInMemory()
 
 
-class UsdSimulation:
-    """The drive model moves the joints of the stage, with the stage's own numbers of its native axes."""
+class StageSignals:
+    """Signals of a stage whose joints the drive model moves; that has the stage's own numbers of its native axes."""
 
     def __init__(self, plant: Plant, model: Any, path: Path, names: MachineNames) -> None:
         import newton_usd_schemas  # noqa: F401 (registers the schemas)
@@ -116,12 +123,6 @@ class UsdSimulation:
         chain = [] if self.kinematics is None else [names.joints[joint.name] for joint in self.kinematics.chain]
         chain = [names.added[ANCHOR], *chain] if chain else []
         self.frames = [self._frames(name) for name in chain]
-
-    def reset(self, start: Start) -> Mapping[str, float]:
-        return self._signals(self.model.reset(start.joints, start.drive, start.commands, start.speeds))
-
-    def step(self, commands: Array) -> Mapping[str, float]:
-        return self._signals(self.model.step(commands))
 
     def _take(self, drive: Any, axis: str, path: str) -> None:
         """Numbers of the joint and of its actuator, in SI units."""
@@ -145,7 +146,7 @@ class UsdSimulation:
         first, second = (_frame(joint, side) for side in (0, 1))
         return name, first, np.asarray(np.linalg.inv(second), dtype=np.float64), joint.GetTypeName() == "PhysicsPrismaticJoint"
 
-    def _signals(self, state: Any) -> dict[str, float]:
+    def __call__(self, state: Any) -> dict[str, float]:
         found = true_signals(self.plant, state)
         if self.kinematics is None:
             return found
@@ -156,9 +157,7 @@ class UsdSimulation:
             pose = pose @ first @ _motion(values.get(name, 0.0), slides) @ second
         tip = self.stage.GetPrimAtPath(f"{link_path(self.names.links[self.kinematics.tip])}/{END_EFFECTOR}")
         place = pose[:3, :3] @ np.array(tip.GetAttribute("xformOp:translate").Get()) + pose[:3, 3]
-        tool = place + state.tool - state.ee
-        points = dict(zip(point_signals("ee"), place, strict=True)) | dict(zip(point_signals("tool"), tool, strict=True))
-        return found | {name: float(value) for name, value in points.items()}
+        return found | end_effector_signals(place, state)
 
 
 def _frame(joint: Any, side: int) -> Array:
@@ -166,17 +165,12 @@ def _frame(joint: Any, side: int) -> Array:
     from pxr import Gf
 
     turn = joint.GetAttribute(f"physics:localRot{side}").Get()
-    frame = np.eye(4)
-    frame[:3, :3] = np.array(Gf.Matrix3d(Gf.Quatd(turn))).T
-    frame[:3, 3] = np.array(joint.GetAttribute(f"physics:localPos{side}").Get())
-    return frame
+    return pose_of(np.array(Gf.Matrix3d(Gf.Quatd(turn))).T, np.array(joint.GetAttribute(f"physics:localPos{side}").Get()))
 
 
 def _motion(value: float, slides: bool) -> Array:
     """Motion of a joint along or about x (4, 4)."""
-    frame = np.eye(4)
     if slides:
-        frame[0, 3] = value
-    else:
-        frame[1:3, 1:3] = [[math.cos(value), -math.sin(value)], [math.sin(value), math.cos(value)]]
-    return frame
+        return pose_of(np.eye(3), np.array([value, 0.0, 0.0]))
+    sine, cosine = math.sin(value), math.cos(value)
+    return pose_of(np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]]), np.zeros(3))

@@ -44,7 +44,7 @@ def export_page(
     parts = [
         f"# {markdown(reference)} for {target.title}\n",
         f"Machine {code(plant.machine.name)}, written by {code(f'sysid export {reference} --to {target.name}')}.\n",
-        *_files(files),
+        f"Files: {', '.join(map(code, files))}.\n",
         "## Conventions\n",
         f"- Units are SI: m, rad, s, N, N·m, kg. A sample is {1.0 / rate_hz:g} s.",
         "- Frame: that in which the end effector was measured; z is up in the base frame of the URDF. Joint values are those",
@@ -76,10 +76,6 @@ def _names(renamed: Sequence[Renamed]) -> list[str]:
         return []
     lines = [f"- {part.kind} {code(part.name)}: {code(part.written)}" for part in renamed]
     return ["## Names\n", "The format reserves some names, cannot hold others, or has them already:\n", *lines, ""]
-
-
-def _files(files: Sequence[str]) -> list[str]:
-    return ["Files: " + ", ".join(map(code, files)) + ".\n"]
 
 
 def _command(axis: Any) -> str:

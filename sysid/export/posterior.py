@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects.units import parameter_unit
+from sysid.export.drive_module import write_csv
 from sysid.plant import Plant
 from sysid.plant.layout import parameter_indices
 from sysid.plant.uncertainty import PlantNumber
@@ -54,21 +55,24 @@ class Posterior:
 def posterior(plant: Plant, count: int, seed: int) -> Posterior:
     """``count`` draws of the parameters whose uncertainty the plant knows (:meth:`sysid.plant.Plant.sample`)."""
     places, thetas = plant.uncertainty.places, plant.sample(count, seed)
-    names = plant.machine.axis_names
-    groups = [parameter_indices(names, p.effect, p.target, p.side, p.parameter, plant.streams) for p in places]
-    values = [thetas[:, group[p.component][0]] for p, group in zip(places, groups, strict=True)]
+    values = [thetas[:, indices_of(plant, place)[0]] for place in places]
     units = tuple(parameter_unit(p.effect, p.parameter, p.target, plant.machine) for p in places)
     return Posterior(tuple(map(_column, places)), units, np.column_stack(values) if values else np.zeros((count, 0)))
+
+
+def indices_of(plant: Plant, place: PlantNumber) -> Sequence[int]:
+    """Indices in the vector of a plant of one of its numbers."""
+    names = plant.machine.axis_names
+    groups = parameter_indices(names, place.effect, place.target, place.side, place.parameter, plant.streams)
+    return groups[place.component]
 
 
 def write_posterior(found: Posterior, folder: Path) -> tuple[str, ...]:
     """Write samples and ranges; returns the names of the files, none where no parameter is uncertain."""
     if not found.columns:
         return ()
-    with (folder / SAMPLES).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(f"{column} [{unit}]" for column, unit in zip(found.columns, found.units, strict=True))
-        writer.writerows([[repr(float(value)) for value in row] for row in found.samples])
+    header = (f"{column} [{unit}]" for column, unit in zip(found.columns, found.units, strict=True))
+    write_csv(folder / SAMPLES, header, found.samples)
     (folder / RANGES).write_text(json.dumps(ranges(found), indent=1, ensure_ascii=False), "utf-8")
     return SAMPLES, RANGES
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
@@ -168,7 +169,8 @@ def run_both(plant: Plant, model: Model, simulation: Simulation, recording: Reco
     stepper = Stepper(plant, recording.rate_hz)
     begin = stepper.reset(start.joints, drive=start.drive, commands=start.commands, speed=start.speeds)
     states = [begin, *(stepper.step(command) for command in steps)]
-    ours = [true_signals(plant, _Lane(state)) for state in states]
+    lanes = (SimpleNamespace(**{key: getattr(state, key)[0] for key in ("drive", "joints", "ee", "tool")}) for state in states)
+    ours = [true_signals(plant, lane) for lane in lanes]
     return Run(recording, slice(int(first), int(last)), _columns(export), _columns(ours))
 
 
@@ -179,13 +181,6 @@ def _speeds(model: Model, recording: Recording, row: int) -> Array:
     rest = replace(recording, table=recording.table.iloc[row:].reset_index(drop=True))
     moving = [axis.actuation == "force" and joint_start(rest, axis.driven).speed != 0.0 for axis in model.machine.axes]
     return np.where(moving, np.nan_to_num(states[:, STATE.speed]), 0.0)
-
-
-class _Lane:
-    """The only lane of a stepper's state."""
-
-    def __init__(self, state: Any) -> None:
-        self.drive, self.joints, self.ee, self.tool = state.drive[0], state.joints[0], state.ee[0], state.tool[0]
 
 
 def _columns(rows: Sequence[Mapping[str, float]]) -> dict[str, Array]:

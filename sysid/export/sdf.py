@@ -14,7 +14,7 @@ from sysid.effects import Effect
 from sysid.errors import SettingsError
 from sysid.export.drive_module import MODULE, write_drive_model, write_effect_table
 from sysid.export.names import MachineNames, Names, scoped
-from sysid.export.target import Simulation, Support, support_of
+from sysid.export.target import Simulation, Support, Target
 from sysid.export.urdf import END_EFFECTOR, FIXED_WORLD, NOTE, WORLD, link_inertias, urdf_names, urdf_of, xml_text
 from sysid.foreign import shown
 from sysid.plant import Plant
@@ -42,20 +42,25 @@ CHILDREN: Mapping[str, tuple[str, ...]] = {
 }
 
 
-class SdfTarget:
+class SdfTarget(Target):
     """SDFormat, as Gazebo reads it."""
 
     name = "sdf"
     title = "Gazebo (SDFormat 1.11)"
-    modules: tuple[str, ...] = ()
-    resolution, arms = 0.0, False
-    notes: tuple[str, ...] = (
+    notes = (
         f"The link `{WORLD}` is fixed to the world: its frame is the measured one. `{END_EFFECTOR}` is the measured point.",
         "A joint has one damping and one friction for both directions: the mean of both is written, and both are in "
         "`effects.csv`. Shapes are not copied.",
         NOTE,
         f"`{MODULE}` computes the joints from the commands, for the set-points of a joint position controller.",
     )
+    native: Mapping[str, str] = {"viscous_friction": "`<dynamics><damping>`", "coulomb_friction": "`<dynamics><friction>`"}
+    composed: Mapping[str, str] = {
+        "joint_offset": "`<pose>` of the joint: its value is that of the sensor",
+        "link_length_error": "`<pose>` of the joints of the link",
+        "tip_offset": f"link `{END_EFFECTOR}` on that of the tip",
+        "base_misalignment": f"joint between the links `{WORLD}` and the root",
+    }
 
     def names(self, plant: Plant) -> MachineNames:
         """Links, joints and frames of a model share one namespace."""
@@ -64,15 +69,8 @@ class SdfTarget:
         machine = plant.machine.name, Names([FIXED_WORLD], scoped).new(plant.machine.name)
         return replace(found, machine=machine, added={**found.added, **space.each([ANCHOR])})
 
-    def support(self, effect: Effect) -> Support:
-        native = {"viscous_friction": "`<dynamics><damping>`", "coulomb_friction": "`<dynamics><friction>`"}
-        composed = {
-            "joint_offset": "`<pose>` of the joint: its value is that of the sensor",
-            "link_length_error": "`<pose>` of the joints of the link",
-            "tip_offset": f"link `{END_EFFECTOR}` on that of the tip",
-            "base_misalignment": f"joint between the links `{WORLD}` and the root",
-        }
-        return support_of(effect, native, composed, f"`{MODULE}`")
+    def otherwise(self, effect: Effect) -> Support:
+        return Support("plugin", f"`{MODULE}`")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         names = self.names(plant)

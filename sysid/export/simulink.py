@@ -12,7 +12,7 @@ from sysid.effects import Effect
 from sysid.export.drive_data import drive_data
 from sysid.export.lut import LutTarget, numbers_of, simulation_of_tables, tables
 from sysid.export.names import MachineNames, Names, axis_names, word
-from sysid.export.target import Simulation, Support
+from sysid.export.target import Simulation, Support, Target
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -23,14 +23,12 @@ NAME = "machine"
 LONGEST = 58
 
 
-class SimulinkTarget:
+class SimulinkTarget(Target):
     """MATLAB and Simulink."""
 
     name = "simulink"
     title = "MATLAB and Simulink"
-    modules: tuple[str, ...] = ()
-    resolution, arms = 0.0, False
-    notes: tuple[str, ...] = (
+    notes = (
         "`load machine.mat` gives the struct `machine`: `sample_time`, the names `axes` and one struct for each axis, "
         "`axis_<name>`, with its `name`, `opening` and `speed` "
         "(tables for 1-D Lookup Table blocks, linear extrapolation) and one field for each standard block (Transport Delay, "
@@ -38,15 +36,15 @@ class SimulinkTarget:
         "`step_axis.m` steps an axis; tests run it in GNU Octave. The replay below interpolates the tables of the file in "
         "Python.",
     )
+    native = dict.fromkeys(LutTarget.native, f"`{FILE}`")
+    not_representable = LutTarget.not_representable
 
     def names(self, plant: Plant) -> MachineNames:
         """Letters, digits and underscores, as fields of a struct have them."""
         return axis_names(plant.machine.name, plant.machine.axis_names, Names(form=word, longest=LONGEST))
 
-    def support(self, effect: Effect) -> Support:
-        found = LutTarget().support(effect)
-        how = {"native": f"`{FILE}`"}.get(found.kind, found.how)
-        return Support(found.kind, how)
+    def otherwise(self, effect: Effect) -> Support:
+        return LutTarget().otherwise(effect)
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         from scipy.io import savemat

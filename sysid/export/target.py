@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
 SupportKind = Literal["native", "composed", "plugin", "not_representable"]
+KINDS: tuple[SupportKind, ...] = get_args(SupportKind)
 
 
 @dataclass(frozen=True)
@@ -31,22 +33,6 @@ class Support:
 
     kind: SupportKind
     how: str
-
-
-def support_of(effect: Effect, native: Mapping[str, str], composed: Mapping[str, str], plugin: str) -> Support:
-    """How a target represents an effect: by elements of its format, else by the drive model.
-
-    Args:
-        native, composed: name of an effect → its element or elements.
-        plugin: how the drive model represents the others.
-    """
-    if effect.name in native:
-        return Support("native", native[effect.name])
-    if effect.name in composed:
-        return Support("composed", composed[effect.name])
-    if effect.name in WITHOUT_PART:
-        return Support("not_representable", WITHOUT_PART[effect.name])
-    return Support("plugin", plugin)
 
 
 @dataclass(frozen=True)
@@ -95,7 +81,7 @@ class ForceSimulation(Protocol):
         ...
 
 
-class Target(Protocol):
+class Target(ABC):
     """A format of another simulator.
 
     Attributes:
@@ -105,42 +91,43 @@ class Target(Protocol):
         notes: on its use, for the page of an export.
         resolution: relative rounding of its coarsest numbers, zero for those of 64 bits.
         arms: whether it writes force axes that move links with masses; its simulation of them is a :class:`ForceSimulation`.
+        native, composed, plugin, not_representable: effect → element or file, or the reason, by :data:`SupportKind`.
     """
 
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def title(self) -> str: ...
-
-    @property
-    def modules(self) -> tuple[str, ...]: ...
-
-    @property
-    def notes(self) -> tuple[str, ...]: ...
-
-    @property
-    def resolution(self) -> float: ...
-
-    @property
-    def arms(self) -> bool: ...
-
-    def names(self, plant: Plant) -> MachineNames:
-        """Names of the parts of the machine in its files."""
-        ...
+    name: str
+    title: str
+    modules: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    resolution = 0.0
+    arms = False
+    native: Mapping[str, str] = {}
+    composed: Mapping[str, str] = {}
+    plugin: Mapping[str, str] = {}
+    not_representable: Mapping[str, str] = WITHOUT_PART
 
     def support(self, effect: Effect) -> Support:
         """How it represents an effect."""
-        ...
+        for kind in KINDS:
+            if effect.name in (table := getattr(self, kind)):
+                return Support(kind, table[effect.name])
+        return self.otherwise(effect)
 
+    @abstractmethod
+    def otherwise(self, effect: Effect) -> Support:
+        """How it represents an effect that is in none of its tables."""
+
+    @abstractmethod
+    def names(self, plant: Plant) -> MachineNames:
+        """Names of the parts of the machine in its files."""
+
+    @abstractmethod
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         """Write the files into an existing folder; returns their names, the main one first.
 
         Raises:
             SettingsError: the target cannot represent this machine.
         """
-        ...
 
+    @abstractmethod
     def simulation(self, plant: Plant, folder: Path) -> Simulation | ForceSimulation | None:
         """The files in their simulator; None where it cannot run here."""
-        ...

@@ -16,10 +16,17 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.effects import Effect
-from sysid.export.drive_module import MODULE, load_module, true_signals, write_drive_model, write_effect_table
+from sysid.export.drive_module import (
+    MODULE,
+    ModelSimulation,
+    load_module,
+    true_signals,
+    write_drive_model,
+    write_effect_table,
+)
 from sysid.export.names import MachineNames, Names
-from sysid.export.target import Simulation, Start, Support, support_of
-from sysid.machine.kinematics import Joint, Kinematics, origin_pose, roll_pitch_yaw, rotation_about
+from sysid.export.target import Simulation, Support, Target
+from sysid.machine.kinematics import Joint, Kinematics, origin_pose, roll_pitch_yaw, rotation_about, rotation_by
 from sysid.machine.urdf_tree import MOVING, followed, moments_of, urdf_tree
 from sysid.plant import Plant
 from sysid.signals import point_signals
@@ -32,9 +39,7 @@ def base_pose(plant: Plant) -> tuple[Array, Array]:
     item = plant.effect("base_misalignment", "base")
     if item is None:
         return np.eye(3), np.zeros(3)
-    rotation = np.asarray(item.parameters["rotation"], dtype=np.float64)
-    angle = float(np.linalg.norm(rotation))
-    turn = rotation_about(rotation / angle, np.array([angle]))[0] if angle > 0.0 else np.eye(3)
+    turn = rotation_by(np.asarray(item.parameters["rotation"], dtype=np.float64))
     return turn, np.asarray(item.parameters["translation"], dtype=np.float64)
 
 
@@ -292,7 +297,6 @@ def joint_values(kinematics: Kinematics, names: MachineNames, joints: Array) -> 
 
 
 FILE = "robot.urdf"
-NATIVE = {"viscous_friction": "`<dynamics damping>`", "coulomb_friction": "`<dynamics friction>`"}
 COMPOSED = {
     "joint_offset": "`<origin>` of the joint: its value is that of the sensor",
     "link_length_error": "`<origin>` of the joints of the link",
@@ -301,67 +305,64 @@ COMPOSED = {
 }
 
 
-class UrdfTarget:
+class UrdfTarget(Target):
     """URDF, as ROS and most simulators read it."""
 
     name = "urdf"
     title = "URDF"
-    modules: tuple[str, ...] = ("mujoco",)
-    resolution, arms = 0.0, False
-    notes: tuple[str, ...] = (
+    modules = ("mujoco",)
+    notes = (
         "A URDF has one friction for both directions: the mean of both is written, and both are in `effects.csv`.",
         "Meshes are referred to as in the URDF of the machine, and not copied.",
         "For the replay the drive model moves the joints, and MuJoCo reads the URDF and computes the end effector.",
     )
+    native: Mapping[str, str] = {"viscous_friction": "`<dynamics damping>`", "coulomb_friction": "`<dynamics friction>`"}
+    composed = COMPOSED
 
     def names(self, plant: Plant) -> MachineNames:
         return urdf_names(plant, Names([FIXED_WORLD]), Names())
 
-    def support(self, effect: Effect) -> Support:
-        return support_of(effect, NATIVE, COMPOSED, f"`{MODULE}`")
+    def otherwise(self, effect: Effect) -> Support:
+        return Support("plugin", f"`{MODULE}`")
 
     def write(self, plant: Plant, rate_hz: float, folder: Path) -> tuple[str, ...]:
         (folder / FILE).write_text(xml_text(urdf_of(plant, self.names(plant))), "utf-8")
         return FILE, write_effect_table(plant, folder), *write_drive_model(plant, rate_hz, folder)
 
     def simulation(self, plant: Plant, folder: Path) -> Simulation | None:
-        model = load_module(folder / MODULE).load()
-        return UrdfSimulation(plant, model, (folder / FILE).read_text("utf-8"), self.names(plant))
+        return urdf_simulation(plant, load_module(folder / MODULE).load(), folder / FILE, self.names(plant))
 
 
-class UrdfSimulation:
+def urdf_simulation(plant: Plant, model: Any, path: Path, names: MachineNames) -> ModelSimulation:
     """The drive model moves the joints of the URDF in MuJoCo, which computes the end effector."""
+    import mujoco
 
-    def __init__(self, plant: Plant, model: Any, urdf: str, names: MachineNames) -> None:
-        import mujoco
+    kinematics = plant.machine.kinematics()
+    drives = {} if kinematics is None else kinematics.drives
+    moved = {names.joints[name] for name in drives} | {names.joint(axis) for axis in plant.machine.axis_names}
+    spec = mujoco.MjSpec.from_string(skeleton(path.read_text("utf-8"), moved))
+    spec.compiler.fusestatic = False
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-9
+    body = spec.compile()
+    data = mujoco.MjData(body)
 
-        self.plant, self.model, self.names, self.mujoco = plant, model, names, mujoco
-        self.kinematics = plant.machine.kinematics()
-        drives = {} if self.kinematics is None else self.kinematics.drives
-        moved = {names.joints[name] for name in drives} | {names.joint(axis) for axis in plant.machine.axis_names}
-        spec = mujoco.MjSpec.from_string(skeleton(urdf, moved))
-        spec.compiler.fusestatic = False
-        spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-9
-        self.body = spec.compile()
-        self.data = mujoco.MjData(self.body)
-
-    def reset(self, start: Start) -> Mapping[str, float]:
-        return self._signals(self.model.reset(start.joints, start.drive, start.commands, start.speeds))
-
-    def step(self, commands: Array) -> Mapping[str, float]:
-        return self._signals(self.model.step(commands))
-
-    def _signals(self, state: Any) -> dict[str, float]:
-        found = true_signals(self.plant, state)
-        if self.kinematics is None:
+    def signals(state: Any) -> dict[str, float]:
+        found = true_signals(plant, state)
+        if kinematics is None:
             return found
-        offsets = np.array([axis.offset for axis in self.model.axes])
-        for name, value in joint_values(self.kinematics, self.names, state.structure - offsets).items():
-            self.data.qpos[self.body.joint(name).qposadr[0]] = value
-        self.mujoco.mj_kinematics(self.body, self.data)
-        place = self.data.body(self.names.added[END_EFFECTOR]).xpos
-        ee, tool = dict(zip(point_signals("ee"), place, strict=True)), place + state.tool - state.ee
-        return found | {name: float(x) for name, x in (ee | dict(zip(point_signals("tool"), tool, strict=True))).items()}
+        offsets = np.array([axis.offset for axis in model.axes])
+        for name, value in joint_values(kinematics, names, state.structure - offsets).items():
+            data.qpos[body.joint(name).qposadr[0]] = value
+        mujoco.mj_kinematics(body, data)
+        return found | end_effector_signals(data.body(names.added[END_EFFECTOR]).xpos, state)
+
+    return ModelSimulation(model, signals)
+
+
+def end_effector_signals(place: Array, state: Any) -> dict[str, float]:
+    """End effector at ``place`` (3,) [m], and the tool as far from it as in a state of the drive model."""
+    points = (("ee", place), ("tool", place + state.tool - state.ee))
+    return {name: float(x) for point, at in points for name, x in zip(point_signals(point), at, strict=True)}
 
 
 def skeleton(urdf: str, moved: Collection[str]) -> str:

@@ -27,7 +27,7 @@ from sysid.export.urdf import (
     tip_offset,
     urdf_of,
 )
-from sysid.machine.kinematics import origin_pose
+from sysid.machine.kinematics import origin_pose, pose_of
 from sysid.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ def usd_names(plant: Plant) -> MachineNames:
 
 def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second: int) -> dict[str, JointEntry]:
     """Scene, links and joints of a plant; returns the joints by their names in the stage."""
-    from pxr import Gf, Sdf, UsdGeom, UsdPhysics
+    from pxr import Gf, UsdGeom, UsdPhysics
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -80,7 +80,7 @@ def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second
     scene.CreateGravityDirectionAttr(Gf.Vec3f(*map(float, turn @ np.array([0.0, 0.0, -1.0]))))
     scene.CreateGravityMagnitudeAttr(plant.machine.gravity)
     scene.GetPrim().ApplyAPI("NewtonSceneAPI")
-    set_value(scene.GetPrim(), "newton:timeStepsPerSecond", Sdf.ValueTypeNames.Int, steps_per_second)
+    set_value(scene.GetPrim(), "newton:timeStepsPerSecond", steps_per_second)
     root = UsdGeom.Xform.Define(stage, ROOT)
     stage.SetDefaultPrim(root.GetPrim())
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
@@ -88,12 +88,11 @@ def write_bodies(stage: Any, plant: Plant, names: MachineNames, steps_per_second
         UsdGeom.Scope.Define(stage, f"{ROOT}/{group}")
     urdf = urdf_of(plant, names)
     joints = _joints(urdf)
-    inertias, poses = link_inertias(urdf), _link_poses(joints, turn, place)
+    inertias, anchor = link_inertias(urdf), pose_of(turn, place)
+    poses = _link_poses(joints, anchor)
     for link, pose in poses.items():
         _link(stage, link, pose, inertias.get(link, (np.zeros(1), np.zeros(3), np.zeros((3, 3)))))
     base = next(link for link in poses if link not in {joint.child for joint in joints})
-    anchor = np.eye(4)
-    anchor[:3, :3], anchor[:3, 3] = turn, place
     for joint in [JointEntry(names.added[ANCHOR], "", base, "fixed", anchor, np.array([1.0, 0.0, 0.0]), None, None), *joints]:
         _joint(stage, joint)
     by_name = {joint.name: joint for joint in joints}
@@ -114,9 +113,12 @@ def joint_path(joint: str) -> str:
     return f"{ROOT}/joints/{joint}"
 
 
-def set_value(prim: Any, name: str, kind: Any, value: Any) -> None:
-    """Author an attribute of an applied schema."""
-    prim.CreateAttribute(name, kind).Set(value)
+def set_value(prim: Any, name: str, value: float) -> None:
+    """Author a number of an applied schema."""
+    from pxr import Sdf
+
+    kinds = Sdf.ValueTypeNames
+    prim.CreateAttribute(name, kinds.Int if isinstance(value, int) else kinds.Float).Set(value)
 
 
 def _joints(root: Element) -> list[JointEntry]:
@@ -138,13 +140,11 @@ def _joints(root: Element) -> list[JointEntry]:
     return found
 
 
-def _link_poses(joints: list[JointEntry], turn: Array, place: Array) -> dict[str, Array]:
-    """Poses (4, 4) of the links in the world, all joints at zero, parents first."""
+def _link_poses(joints: list[JointEntry], root: Array) -> dict[str, Array]:
+    """Poses (4, 4) of the links in the world, all joints at zero, parents first; ``root``: that of links without a parent."""
     children = {joint.child for joint in joints}
     roots = dict.fromkeys(joint.parent for joint in joints if joint.parent not in children)
-    first = np.eye(4)
-    first[:3, :3], first[:3, 3] = turn, place
-    poses = dict.fromkeys(roots, first)
+    poses = dict.fromkeys(roots, root)
     waiting = list(joints)
     while waiting:
         ready = [joint for joint in waiting if joint.parent in poses]
@@ -211,8 +211,6 @@ def mimics(joint: JointEntry, joints: Mapping[str, JointEntry]) -> bool:
 
 
 def _follow(stage: Any, joints: Mapping[str, JointEntry]) -> None:
-    from pxr import Sdf
-
     for joint in joints.values():
         if joint.mimic is not None and mimics(joint, joints):
             leader, offset, ratio = joint.mimic
@@ -220,8 +218,8 @@ def _follow(stage: Any, joints: Mapping[str, JointEntry]) -> None:
             prim.ApplyAPI("NewtonMimicAPI")
             prim.CreateRelationship("newton:mimicJoint").SetTargets([joint_path(leader)])
             offset = math.degrees(offset) if joint.angular else offset
-            set_value(prim, "newton:mimicCoef0", Sdf.ValueTypeNames.Float, offset)
-            set_value(prim, "newton:mimicCoef1", Sdf.ValueTypeNames.Float, ratio)
+            set_value(prim, "newton:mimicCoef0", offset)
+            set_value(prim, "newton:mimicCoef1", ratio)
 
 
 def _turn_to(axis: Array) -> Array:
@@ -279,38 +277,32 @@ def write_follower(stage: Any, joint: JointEntry, steps_per_second: int) -> None
 
 def _force(stage: Any, axis: dict[str, Any], name: str, joint: JointEntry) -> None:
     """Mass, damping and friction of the joint; the force is the feedforward of an actuator with a constant effort."""
-    from pxr import Sdf
-
-    laws, kind = dict(axis["frictions"]), Sdf.ValueTypeNames.Float
+    laws = dict(axis["frictions"])
     prim = _driven_joint(stage, joint, axis["mass"])
     damping = laws.get("viscous_friction", {"positive": 0.0})["positive"]
-    set_value(prim, "newton:damping", kind, per_unit(damping, joint))
-    set_value(prim, "newton:friction", kind, laws.get("coulomb_friction", {"positive": 0.0})["positive"])
+    set_value(prim, "newton:damping", per_unit(damping, joint))
+    set_value(prim, "newton:friction", laws.get("coulomb_friction", {"positive": 0.0})["positive"])
     actuator = _actuator(stage, name, joint)
     actuator.ApplyAPI("NewtonPDControlAPI")
-    set_value(actuator, "newton:constEffort", kind, -axis["bias"])
+    set_value(actuator, "newton:constEffort", -axis["bias"])
 
 
 def _delayed(stage: Any, axis: dict[str, Any], name: str, joint: JointEntry, steps_per_second: int) -> None:
     """A servo that reaches its delayed target in two steps of an explicit integrator (kp = m/h², kd = m/h)."""
-    from pxr import Sdf
-
     _driven_joint(stage, joint, ARMATURE)
     actuator = _actuator(stage, name, joint)
     actuator.ApplyAPI("NewtonPDControlAPI")
-    set_value(actuator, "newton:kp", Sdf.ValueTypeNames.Float, ARMATURE * steps_per_second**2)
-    set_value(actuator, "newton:kd", Sdf.ValueTypeNames.Float, ARMATURE * steps_per_second)
+    set_value(actuator, "newton:kp", ARMATURE * steps_per_second**2)
+    set_value(actuator, "newton:kd", ARMATURE * steps_per_second)
     actuator.ApplyAPI("NewtonActuatorDelayAPI")
     delay = dict(axis["command"])["input_delay"]["delay"]
-    set_value(actuator, "newton:delaySteps", Sdf.ValueTypeNames.Int, round(delay * steps_per_second))
+    set_value(actuator, "newton:delaySteps", round(delay * steps_per_second))
 
 
 def _driven_joint(stage: Any, joint: JointEntry, armature: float) -> Any:
-    from pxr import Sdf
-
     prim = stage.GetPrimAtPath(joint.path)
     prim.ApplyAPI("NewtonJointAPI")
-    set_value(prim, "newton:armature", Sdf.ValueTypeNames.Float, armature)
+    set_value(prim, "newton:armature", armature)
     return prim
 
 

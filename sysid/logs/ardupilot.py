@@ -18,7 +18,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.extras import install_remedy
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.ulog import LARGEST_NS, MOST, silent
 from sysid.names import listed
 from sysid.units import si_factor
@@ -35,13 +35,12 @@ _NO_STREAMS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")
 _UNITS = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg", "UNKNOWN": "", "instance": ""}
 
 
-@dataclass(frozen=True)
-class ArduPilotReader:
+class ArduPilotReader(LogReader):
     """``boot`` stamps: the ``TimeUS`` (``TimeMS`` in old logs) of each message, since the autopilot booted."""
 
-    name: str = "ardupilot"
-    suffixes: tuple[str, ...] = (".bin",)
-    clocks: tuple[str, ...] = ("boot",)
+    name = "ardupilot"
+    suffixes = (".bin",)
+    clocks = ("boot",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, _WHAT)

@@ -13,6 +13,7 @@ Source: Motion Lab Systems, "The C3D File Format User Guide"; c3d.org.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.capture import length_factor, without_lost
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import to_ns
 
 Array = npt.NDArray[np.float64]
@@ -59,14 +60,8 @@ class C3dFile:
     notes: tuple[str, ...] = ()
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """A text parameter with its continuations (``LABELS``, ``LABELS2`` …); empty where there is none."""
-        found: list[str] = []
-        for suffix in ("", *map(str, range(2, 100))):
-            value = self.parameters.get(f"{name}{suffix}")
-            if not isinstance(value, tuple):
-                break
-            found += value
-        return tuple(found)
+        """A text parameter with its continuations; empty where there is none."""
+        return tuple(text for part in _continued(self.parameters, name, tuple) for text in part)
 
 
 @dataclass(frozen=True)
@@ -243,13 +238,14 @@ def _scaled(raw: Array, channels: int, parameters: Mapping[str, Any]) -> Array:
 
 def _each(parameters: Mapping[str, Any], name: str, count: int, default: float) -> Array:
     """A number for each of ``count`` channels, from a parameter and its continuations."""
-    found: list[float] = []
-    for suffix in ("", *map(str, range(2, 100))):
-        value = parameters.get(f"{name}{suffix}")
-        if not isinstance(value, np.ndarray):
-            break
-        found += value.tolist()
+    found = [number for part in _continued(parameters, name, np.ndarray) for number in part.tolist()]
     return np.array((found + [default] * count)[:count])
+
+
+def _continued(parameters: Mapping[str, Any], name: str, kind: type) -> Iterator[Any]:
+    """A parameter of this type and its continuations (``LABELS``, ``LABELS2`` …)."""
+    values = (parameters.get(f"{name}{suffix}") for suffix in ("", *map(str, range(2, 100))))
+    return itertools.takewhile(lambda value: isinstance(value, kind), values)
 
 
 def _first(parameters: Mapping[str, Any], name: str, default: float) -> float:
@@ -284,13 +280,12 @@ _MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS
 ANALOG = "analog"
 
 
-@dataclass(frozen=True)
-class C3dReader:
+class C3dReader(LogReader):
     """``capture`` stamps: the number of the frame over the rate, so that a cropped trial does not start at zero."""
 
-    name: str = "c3d"
-    suffixes: tuple[str, ...] = (".c3d",)
-    clocks: tuple[str, ...] = ("capture",)
+    name = "c3d"
+    suffixes = (".c3d",)
+    clocks = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         trial = read_c3d(path, options.budget_of(path, "a C3D file"))

@@ -9,7 +9,6 @@ Without a database every identifier (``0x1A7``, ``0x18FF1027x`` with 29 bits) is
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.logs.can_frames import Address, FrameLog, Frames, read_frames
 from sysid.logs.can_signals import decode, is_j1939, load_database, measured, selected, switch_of
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
@@ -29,13 +28,12 @@ _J1939_BROADCAST = 240
 _LISTED = 5
 
 
-@dataclass(frozen=True)
-class CanReader:
+class CanReader(LogReader):
     """Vector BLF and ASC, PEAK traces; candump files where the recipe names the reader (``reader = "can"``)."""
 
-    name: str = "can"
-    suffixes: tuple[str, ...] = (".blf", ".asc", ".trc")
-    clocks: tuple[str, ...] = ("log",)
+    name = "can"
+    suffixes = (".blf", ".asc", ".trc")
+    clocks = ("log",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         return frame_streams(path, read_frames(path, options.budget_of(path, "a CAN log")), options)

@@ -20,10 +20,10 @@ import pandas as pd
 from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.cells import CellColumn
-from sysid.logs.dialect import REMARKS, Dialect, find_dialect, without_line_end
+from sysid.logs.dialect import REMARKS, Dialect, find_dialect
 from sysid.logs.limits import MAX_LINE
 from sysid.logs.reader import ALL, ReadOptions, Stream
-from sysid.logs.table import CUT_ROW, Columns, Table, is_time, is_wanted, table_stream, text_chunks
+from sysid.logs.table import CUT_ROW, Table, TableReader, is_time, is_wanted, table_stream, text_chunks, without_line_end
 from sysid.units import split_header
 
 #: Cells without a value.
@@ -79,27 +79,18 @@ _WHAT = "a CSV file with one header row"
 _PLACES, _SAMPLE, _MARGIN = 8, 2**17, 1.02
 
 
-@dataclass(frozen=True)
-class CsvReader:
+class CsvReader(TableReader):
     """Headers are canonical names (``boom.cylinder [mm]``), or the recipe maps them."""
 
-    name: str = "csv"
-    suffixes: tuple[str, ...] = (".csv", ".tsv", ".txt")
-    clocks: tuple[str, ...] = ("time",)
+    name = "csv"
+    suffixes = (".csv", ".tsv", ".txt")
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        table = self.table(path, options)
-        known = () if options.columns is None else self.dialect(path, options).headers
-        return (table_stream(path, table, options, known=known),)
+        return (table_stream(path, self.table(path, options), options),)
 
     def dialect(self, path: Path, options: ReadOptions = ALL) -> Dialect:
         """The form of the file, also of one without a header row."""
         return find_dialect(path, options, options.budget_of(path, _WHAT, None))
-
-    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Header → numbers of the wanted columns, in the order of the file, and the losses. Raises as :meth:`table`."""
-        table = self.table(path, options)
-        return table.numbers, table.losses
 
     def table(self, path: Path, options: ReadOptions = ALL) -> Table:
         """The wanted columns, in the order of the file.
@@ -135,7 +126,7 @@ class CsvReader:
             scratch.leave()
         losses = (*((CUT_ROW,) if cut and rows else ()), *checked.losses)
         found = Table.joined([Table((), losses), *(column.table() for column in cells.values())])
-        return replace(found, losses=tuple(f"{path.name}: {loss}" for loss in found.losses))
+        return replace(found, losses=tuple(f"{path.name}: {loss}" for loss in found.losses), headers=headers)
 
 
 def _is_read(header: str, options: ReadOptions) -> bool:

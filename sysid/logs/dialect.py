@@ -414,13 +414,3 @@ def _encoding(path: Path) -> tuple[str, int]:
         if encoding == "utf-8" or not re.search(r"[\x00-\x08\x0e-\x1f]", text):
             return encoding, 0
     raise InputError(path, "bytes that are no text", "a CSV file in UTF-8", "Is it a CSV file?")
-
-
-def without_line_end(path: Path, encoding: str) -> bool:
-    """Whether a text file ends within a row."""
-    size = 2 if encoding.startswith("utf-16") else 1
-    with path.open("rb") as file:
-        if file.seek(0, 2) < size:
-            return False
-        file.seek(-size, 2)
-        return file.read(size).decode(encoding, "replace") not in ("\n", "\r")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,24 +15,18 @@ from sysid.errors import InputError
 from sysid.logs.csv import CsvReader
 from sysid.logs.labels import without_repeats
 from sysid.logs.lerobot import data_files, is_lerobot
-from sysid.logs.motive import unstated
 from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.readers import NAMED, NO_LOGS, is_log, reader_for, reader_named
-from sysid.logs.table import NO_TIME, TIME_NAMES, Columns, guess_time
+from sysid.logs.table import NO_TIME, TIME_NAMES, TableReader, guess_time
 from sysid.logs.time_unit import TimeUnit
-from sysid.logs.topic_columns import STAMP_FIELDS
+from sysid.logs.topic_columns import STAMP_PATHS
 from sysid.numbers import LARGEST_COUNT
 from sysid.units import si_factor, split_header
 
 #: A step between two stamps that is longer than this multiple of the median is a gap.
 GAP = 3.0
 #: Fields of a header, which are listed as clocks.
-_HEADER = frozenset({path for pair in STAMP_FIELDS for path in pair} | {"header.seq"})
-
-
-@runtime_checkable
-class _TableReader(Protocol):
-    def columns(self, path: Path, options: ReadOptions) -> tuple[Columns, tuple[str, ...]]: ...
+_HEADER = STAMP_PATHS | {"header.seq"}
 
 
 @dataclass(frozen=True)
@@ -161,15 +155,12 @@ def inspect_file(
     if not path.exists():
         raise InputError(path, "no such file", "a log file", "Check the path.")
     chosen = reader_named(reader, path) if reader is not None else reader_for(path)
-    size = path.stat().st_size
     si_factor("1")  # loads the unit library here once, not in the process of every file
     try:
         budget = ReadOptions(dbc=dbc).budget_of(path, "a log file", None)
         return confined(lambda report: inspect_here(path, chosen, dbc, expected_hz, rate_hz), path, budget.limits, _SUMMARIES)
-    except InputError as error:
-        return FileSummary(path, chosen.name, size, refusal=str(error))
-    except PermissionError:
-        return FileSummary(path, chosen.name, size, refusal=f"{path}: may not be read (permission denied)")
+    except (InputError, PermissionError) as error:
+        return FileSummary(path, chosen.name, path.stat().st_size, refusal=_refusal(path, error))
 
 
 def inspect_here(
@@ -200,11 +191,15 @@ def inspect_here(
             summary = replace(summary, stated={**stated, "length_unit": likely})
             streams = chosen.read(path, _preview(summary, dbc))
     except InputError as error:
-        return replace(summary, streams=_bare(path, chosen, summary.columns), refusal=str(error))
-    except PermissionError:
-        return replace(summary, refusal=f"{path}: may not be read (permission denied)")
+        return replace(summary, streams=_bare(path, chosen, summary.columns), refusal=_refusal(path, error))
+    except PermissionError as error:
+        return replace(summary, refusal=_refusal(path, error))
     losses = tuple(dict.fromkeys(loss for stream in streams for loss in (*stream.losses, *stream.left_out)))
     return replace(summary, streams=tuple(summarise(stream) for stream in streams), losses=losses)
+
+
+def _refusal(path: Path, error: Exception) -> str:
+    return f"{path}: may not be read (permission denied)" if isinstance(error, PermissionError) else str(error)
 
 
 def _preview(summary: FileSummary, dbc: Path | None) -> ReadOptions:
@@ -221,10 +216,10 @@ def _likely_unit(streams: Iterable[Stream]) -> str:
 
 def _bare(path: Path, reader: LogReader, header: tuple[str, ...]) -> tuple[StreamSummary, ...]:
     """The columns of a table without a time column."""
-    if not isinstance(reader, _TableReader):
+    if not isinstance(reader, TableReader):
         return ()
     try:
-        columns, _ = reader.columns(path, ReadOptions(header=header))
+        columns = reader.table(path, ReadOptions(header=header)).numbers
     except InputError:
         return ()
     fields = tuple(_field(*split_header(header), values) for header, values in columns)
@@ -235,12 +230,9 @@ def _unstated(
     path: Path, reader: LogReader, header: tuple[str, ...], expected_hz: float | None
 ) -> tuple[dict[str, Any], tuple[TimeUnit, ...]]:
     """Keys that a recipe has to state for this file, with likely values, and the plausible units of its time."""
-    if reader.name == "motive":
-        return unstated(path), ()
-    if not isinstance(reader, _TableReader):
-        return {}, ()
-    columns, _ = reader.columns(path, ReadOptions(header=header))
-    guess = guess_time(columns, expected_hz)
+    if not isinstance(reader, TableReader):
+        return dict(reader.unstated(path)), ()
+    guess = guess_time(reader.table(path, ReadOptions(header=header)).numbers, expected_hz)
     if guess is None:
         return {}, ()
     stated: dict[str, Any] = {} if guess.name in TIME_NAMES else {"time": guess.name}

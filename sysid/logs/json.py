@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +18,18 @@ from sysid.errors import InputError
 from sysid.logs.cells import CellColumn
 from sysid.logs.layout import MAX_ELEMENTS
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import Table, is_time, table_stream
 
 #: Character before a value → memory of the objects after it [B].
 _OBJECT_BYTES = {b",": 72, b"[": 72, b"{": 256}
 
 
-@dataclass(frozen=True)
-class JsonReader:
+class JsonReader(LogReader):
     """Numbers, truth values and dates are fields; of inner records by dots (``motor.speed``), of lists by index (``q[2]``)."""
 
-    name: str = "json"
-    suffixes: tuple[str, ...] = ()
-    clocks: tuple[str, ...] = ("time",)
+    name = "json"
+    clocks = ("time",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, "a JSON file")

@@ -8,7 +8,6 @@ Units are those of the recorder: degrees, radians or shares of the range; the fi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,15 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.labels import bracketed
 from sysid.logs.limits import MAX_TEXT
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.parquet import reading_parquet
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.parse import parse_json
 
 Array = npt.NDArray[np.float64]
 
 #: Kind of a stream.
 KIND = "LeRobot episode"
+DATA_FILE = "a data file of a LeRobot dataset"
 #: Versions of the layout that are read.
 VERSIONS = ("v2.", "v3.")
 _INFO = "meta/info.json"
@@ -36,13 +37,12 @@ _NUMBERS = ("float", "int", "uint", "bool")
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
-@dataclass(frozen=True)
-class LeRobotReader:
+class LeRobotReader(LogReader):
     """Numbers and flags of every feature; matrices, images, videos and texts are said to be left out."""
 
-    name: str = "lerobot"
-    suffixes: tuple[str, ...] = (".parquet",)
-    clocks: tuple[str, ...] = ("episode",)
+    name = "lerobot"
+    suffixes = (".parquet",)
+    clocks = ("episode",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         info = dataset_info(path)
@@ -154,24 +154,18 @@ def _read(path: Path, names: Mapping[str, tuple[str, int]], options: ReadOptions
     Raises:
         InputError: not Parquet, a column that is missing, or lists of another length than stated.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     wanted = {label: place for label, place in names.items() if options.columns is None or label in options.columns}
     budget = options.budget_of(path, "a Parquet file", None)
-    try:
-        with pq.ParquetFile(path) as file:
-            rows, present = file.metadata.num_rows, set(file.schema_arrow.names)
-            for needed in (EPISODE, TIME, *(feature for feature, _ in wanted.values())):
-                if needed not in present:
-                    raise InputError(path, f"no column {needed!r}", "the features of meta/info.json")
-            counts = {feature: 1 + max(k for name, k in names.values() if name == feature) for feature, _ in wanted.values()}
-            budget.check_columns(path, 2 + sum(counts.values()))
-            budget.check_numbers(path, rows * (2 + sum(counts.values())))
-            lists = {feature: feature_values(file, feature, rows, count, path) for feature, count in counts.items()}
-            own = {key: feature_values(file, key, rows, 1, path)[:, 0] for key in (EPISODE, TIME)}
-    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise InputError(path, f"not readable as Parquet ({error})", "a data file of a LeRobot dataset") from None
+    with reading_parquet(path, DATA_FILE) as file:
+        rows, present = file.metadata.num_rows, set(file.schema_arrow.names)
+        for needed in (EPISODE, TIME, *(feature for feature, _ in wanted.values())):
+            if needed not in present:
+                raise InputError(path, f"no column {needed!r}", "the features of meta/info.json")
+        counts = {feature: 1 + max(k for name, k in names.values() if name == feature) for feature, _ in wanted.values()}
+        budget.check_columns(path, 2 + sum(counts.values()))
+        budget.check_numbers(path, rows * (2 + sum(counts.values())))
+        lists = {feature: feature_values(file, feature, rows, count, path) for feature, count in counts.items()}
+        own = {key: feature_values(file, key, rows, 1, path)[:, 0] for key in (EPISODE, TIME)}
     return {**own, **{label: lists[feature][:, k].copy() for label, (feature, k) in wanted.items()}}
 
 

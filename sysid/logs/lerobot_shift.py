@@ -17,7 +17,18 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.errors import InputError, SettingsError, nearest
-from sysid.logs.lerobot import EPISODE, TIME, data_files, dataset_info, episode_rows, feature_names, feature_values, seconds_of
+from sysid.logs.lerobot import (
+    DATA_FILE,
+    EPISODE,
+    TIME,
+    data_files,
+    dataset_info,
+    episode_rows,
+    feature_names,
+    feature_values,
+    seconds_of,
+)
+from sysid.logs.parquet import reading_parquet
 from sysid.parse import parse_json
 
 if TYPE_CHECKING:
@@ -74,16 +85,13 @@ def _rewritten(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    try:
-        with pq.ParquetFile(path) as file:
-            table, rows = file.read(), file.metadata.num_rows
-            counts = {feature: 1 + max(k for other, k in names.values() if other == feature) for feature, _ in names.values()}
-            episodes = episode_rows(feature_values(file, EPISODE, rows, 1, path)[:, 0].astype(np.int64), path)
-            time = seconds_of(feature_values(file, TIME, rows, 1, path)[:, 0], rate_hz)
-            features = {names[label][0] for label in delays}
-            values = {feature: feature_values(file, feature, rows, counts[feature], path) for feature in features}
-    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise InputError(path, f"not readable as Parquet ({error})", "a data file of a LeRobot dataset") from None
+    with reading_parquet(path, DATA_FILE) as file:
+        table, rows = file.read(), file.metadata.num_rows
+        counts = {feature: 1 + max(k for other, k in names.values() if other == feature) for feature, _ in names.values()}
+        episodes = episode_rows(feature_values(file, EPISODE, rows, 1, path)[:, 0].astype(np.int64), path)
+        time = seconds_of(feature_values(file, TIME, rows, 1, path)[:, 0], rate_hz)
+        features = {names[label][0] for label in delays}
+        values = {feature: feature_values(file, feature, rows, counts[feature], path) for feature in features}
     for label, delay in delays.items():
         feature, k = names[label]
         kind = table.schema.field(feature).type

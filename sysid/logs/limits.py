@@ -68,7 +68,8 @@ class Budget:
     def of(cls, size: int) -> Budget:
         """For a file of ``size`` bytes."""
         unpacked = max(FREE_MEMORY, MEMORY_RATIO * size)
-        memory = min(unpacked, max(FREE_MEMORY, _machine_memory()))
+        of_machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        memory = min(unpacked, max(FREE_MEMORY, of_machine))
         chunk = min(max(FREE_CHUNK, CHUNK_RATIO * size), MAX_CHUNK)
         return cls(memory, FREE_SECONDS + SECONDS_A_BYTE * size, chunk, unpacked, memory // 16)
 
@@ -120,11 +121,6 @@ class Budget:
     def _check(where: object, count: int, limit: int, what: str, remedy: str) -> None:
         if count > limit:
             raise InputError(where, f"{count} {what}", f"at most {limit} {what}", remedy)
-
-
-def _machine_memory() -> int:
-    """Memory of the machine [B]."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def check_file(path: Path, what: str, limit: int | None = None) -> int:

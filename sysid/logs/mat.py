@@ -21,7 +21,7 @@ from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions, Stream
-from sysid.logs.table import TIME_NAMES, Columns, Table, TypedColumns, is_time, is_wanted, table_stream
+from sysid.logs.table import TIME_NAMES, Table, TableReader, TypedColumns, is_time, is_wanted, table_stream
 
 _WHAT = "a MATLAB file"
 #: Classes of variables as SciPy names them, of numbers and others.
@@ -45,13 +45,11 @@ class MatVariable:
         return math.prod(self.shape)
 
 
-@dataclass(frozen=True)
-class MatReader:
+class MatReader(TableReader):
     """Always used with a recipe, because a MATLAB file does not state which variable is which signal."""
 
-    name: str = "mat"
-    suffixes: tuple[str, ...] = (".mat",)
-    clocks: tuple[str, ...] = ("time",)
+    name = "mat"
+    suffixes = (".mat",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, _WHAT, None)
@@ -59,20 +57,18 @@ class MatReader:
         chosen = _chosen(variables, options)
         rows = _rows(chosen, options)
         if rows is not None:
-            unread |= {
-                name: f"{_size(v)} numbers instead of {rows} rows" for name, v in variables.items() if rows not in v.shape
-            }
-        table = Table(_columns(path, chosen, rows, budget, options, unread), (), unread)
-        known = () if options.columns is None else tuple(variables)
-        return (table_stream(path, table, options, units_in_headers=False, known=known),)
+            others = {name: " × ".join(map(str, v.shape)) for name, v in variables.items() if rows not in v.shape}
+            unread |= {name: f"{size} numbers instead of {rows} rows" for name, size in others.items()}
+        table = Table(_columns(path, chosen, rows, budget, options, unread), (), unread, tuple(variables))
+        return (table_stream(path, table, options, units_in_headers=False),)
 
-    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Variable → numbers of the vectors of the most frequent length, and no losses."""
+    def table(self, path: Path, options: ReadOptions = ALL) -> Table:
+        """The vectors of the most frequent length."""
         budget = options.budget_of(path, _WHAT, None)
         vectors = {name: variable for name, variable in find_variables(path, budget)[0].items() if len(variable.shape) == 1}
         usual = _usual_length(vectors)
         same = {name: variable for name, variable in vectors.items() if variable.count == usual}
-        return [(name, _as_floats(array)) for name, array in read_variables(path, same, budget, {}).items()], ()
+        return Table([(name, _as_floats(array)) for name, array in read_variables(path, same, budget, {}).items()])
 
 
 def find_variables(path: Path, budget: Budget) -> tuple[dict[str, MatVariable], dict[str, str]]:
@@ -178,10 +174,6 @@ def _rows(variables: Mapping[str, MatVariable], options: ReadOptions) -> int | N
         return _usual_length(vectors)
     time = options.time if options.time is not None else next((name for name in TIME_NAMES if name in vectors), None)
     return vectors[time].count if time in vectors else None
-
-
-def _size(variable: MatVariable) -> str:
-    return " × ".join(map(str, variable.shape))
 
 
 def _usual_length(vectors: Mapping[str, MatVariable]) -> int:

@@ -22,12 +22,11 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.layout import Bytes
 from sysid.logs.limits import Budget, unpack
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.topics import Topic, check_held, finished, make_decoder
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x0F
-STATISTICS = 0x0B
 #: Opcode and length before every record; channel, sequence, log and publish time before the data of a message.
 RECORD, MESSAGE_HEAD = 9, 22
 #: Records outside of chunks are passed on in blocks of this size.
@@ -255,16 +254,12 @@ def indexed_block(records: Buffer, index: Sequence[bytes]) -> McapBlock | None:
     return McapBlock(tuple(definitions), data, starts)
 
 
-_COUNT = np.dtype([("channel", "<u2"), ("messages", "<u8")])
-
-
-@dataclass(frozen=True)
-class McapReader:
+class McapReader(LogReader):
     """The default clock is ``header`` (time of measurement), for messages with ``header.stamp`` or ``stamp``."""
 
-    name: str = "mcap"
-    suffixes: tuple[str, ...] = (".mcap",)
-    clocks: tuple[str, ...] = ("header", "log", "publish")
+    name = "mcap"
+    suffixes = (".mcap",)
+    clocks = ("header", "log", "publish")
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, "an MCAP file", None)
@@ -293,11 +288,8 @@ class _Log:
     topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
 
     def define(self, opcode: int, body: bytes) -> None:
-        """Parse a schema or channel record that is not yet known, or the statistics."""
+        """Parse a schema or channel record that is not yet known."""
         reader = _Fields(body)
-        if opcode == STATISTICS:
-            self._expect(body)
-            return
         number = reader.integer(2)
         if opcode == SCHEMA:
             self.schemas.setdefault(number, (reader.text(), reader.text(), reader.block()))
@@ -323,14 +315,6 @@ class _Log:
             others = sum(name == topic for name, _, _ in self.topics)
             self.topics[key] = Topic(f"{topic}#{others + 1}" if others else topic, kind, decoder)
         self.channels[number] = self.topics[key]
-
-    def _expect(self, body: bytes) -> None:
-        """Channel numbers and message counts, from byte 46 on, limited to what fits into the file."""
-        counts = np.frombuffer(body[46 : len(body) - (len(body) - 46) % 10], _COUNT) if len(body) > 46 else ()
-        most = self.path.stat().st_size // (RECORD + MESSAGE_HEAD)
-        for number, count in counts:
-            if int(number) in self.channels:
-                self.channels[int(number)].expect(min(int(count), most))
 
     def take(self, block: McapBlock) -> None:
         """Pass the messages of ``block`` to their topics."""

@@ -22,7 +22,7 @@ from sysid.logs.labels import ArrayLabels, are_joint_names, are_names, bracketed
 from sysid.logs.layout import MAX_ELEMENTS, Bytes, Layout, layout_of
 from sysid.logs.limits import MAX_DEPTH
 from sysid.logs.rosmsg import Definition
-from sysid.logs.topic_columns import STAMP_FIELDS, TopicColumns
+from sysid.logs.topic_columns import STAMP_PATHS, TopicColumns
 
 Rows = npt.NDArray[np.intp]
 
@@ -200,14 +200,11 @@ class RowDecoder:
                 self.reason = self.reason or str(error).splitlines()[0][:200]
                 continue
             for path, value in flat.items():
-                if not stamps_only or path in _STAMPS:
+                if not stamps_only or path in STAMP_PATHS:
                     rows.setdefault(path, []).append(first + offset)
                     values.setdefault(path, []).append(value)
         for path, column in values.items():
             self.columns.put((path,), np.array(rows[path], dtype=np.intp), _numbers(column))
-
-
-_STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
 
 
 def _numbers(values: list[float]) -> npt.NDArray[Any]:

@@ -15,7 +15,7 @@ import struct
 import traceback
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -27,7 +27,7 @@ from sysid.extras import install_remedy
 from sysid.logs.can import frame_streams
 from sysid.logs.can_frames import Address, FrameLog, Frames
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import to_ns
 from sysid.names import listed
 
@@ -133,13 +133,12 @@ _SYNC = {0: "nothing", _TIME: "time", 2: "an angle", 3: "a distance", 4: "an ind
 MOST = 5
 
 
-@dataclass(frozen=True)
-class Mf4Reader:
+class Mf4Reader(LogReader):
     """Stamps are the time of the group's master channel, from the start of the measurement as the file states it."""
 
-    name: str = "mf4"
-    suffixes: tuple[str, ...] = (".mf4",)
-    clocks: tuple[str, ...] = ("log",)
+    name = "mf4"
+    suffixes = (".mf4",)
+    clocks = ("log",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, "an MDF 4 file", None)

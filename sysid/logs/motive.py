@@ -25,7 +25,7 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.logs.capture import Array, euler_order, length_factor, number_rows, quaternion_columns, without_lost
 from sysid.logs.limits import Budget, missing_frames
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import to_ns
 
 #: First cell of an export of this version.
@@ -157,13 +157,11 @@ class _Head:
     unread: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class MotiveReader:
+class MotiveReader(LogReader):
     """Streams have the name of the rigid body, bone or marker in Motive."""
 
-    name: str = "motive"
-    suffixes: tuple[str, ...] = ()
-    clocks: tuple[str, ...] = ("capture",)
+    name = "motive"
+    clocks = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, "a Motive CSV export")
@@ -198,17 +196,16 @@ class MotiveReader:
             streams.append(Stream(name, path, stamps, values, units, losses, kind=own[0].kind))
         return without_lost(path, streams)
 
-
-def unstated(path: Path) -> dict[str, str]:
-    """Keys that a recipe has to state because the export does not, with a common value: ``length_unit``, ``rotation``."""
-    if _first_cell(path).lower() in RECORD_TYPES:
-        return {"length_unit": "m"}
-    head = _head(path)
-    result = {} if head.stated.get("Length Units") else {"length_unit": "m"}
-    angles = {column.axis for column in head.columns if column.channel == "Rotation"}
-    if angles and "W" not in angles and euler_order(head.stated.get("Rotation Type")) is None:
-        result["rotation"] = "XYZ"
-    return result
+    def unstated(self, path: Path) -> dict[str, str]:
+        """``length_unit`` and ``rotation``."""
+        if _first_cell(path).lower() in RECORD_TYPES:
+            return {"length_unit": "m"}
+        head = _head(path)
+        result = {} if head.stated.get("Length Units") else {"length_unit": "m"}
+        angles = {column.axis for column in head.columns if column.channel == "Rotation"}
+        if angles and "W" not in angles and euler_order(head.stated.get("Rotation Type")) is None:
+            result["rotation"] = "XYZ"
+        return result
 
 
 def _first_cell(path: Path) -> str:

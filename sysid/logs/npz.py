@@ -10,7 +10,7 @@ import math
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions, Stream
-from sysid.logs.table import TIME_NAMES, Columns, Table, TypedColumns, is_time, is_wanted, table_stream
+from sysid.logs.table import TIME_NAMES, Table, TableReader, TypedColumns, is_time, is_wanted, table_stream
 from sysid.parse import parse_json
 
 _WHAT, _MAPPING, _TIMES = "a NumPy archive", "signal_mapping", "times"
@@ -30,27 +30,23 @@ _HEADER, _TEXT = 10_000, 1 << 20
 _NO_NUMBERS = {"U": "text", "S": "text", "O": "pickled objects, which are never loaded", "c": "complex numbers"}
 
 
-@dataclass(frozen=True)
-class NpzReader:
+class NpzReader(TableReader):
     """Numbers only: pickled objects are never loaded."""
 
-    name: str = "npz"
-    suffixes: tuple[str, ...] = (".npz",)
-    clocks: tuple[str, ...] = ("time",)
+    name = "npz"
+    suffixes = (".npz",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         table = self.table(path, options)
-        names = [name for name, _ in table.columns]
-        if options.time is None and options.rate_hz is None and _TIMES in names and not {*TIME_NAMES} & {*names}:
+        if (
+            options.time is None
+            and options.rate_hz is None
+            and _TIMES in table.headers
+            and not {*TIME_NAMES} & {*table.headers}
+        ):
             options = replace(options, time=_TIMES)
         kept = [(name, values) for name, values in table.columns if is_wanted(name, options, False) or values.dtype.kind == "M"]
-        known = () if options.columns is None else tuple(names)
-        return (table_stream(path, replace(table, columns=kept), options, units_in_headers=False, known=known),)
-
-    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Name → numbers of every column of the arrays of the most frequent length, and no losses."""
-        table = self.table(path, options)
-        return table.numbers, table.losses
+        return (table_stream(path, replace(table, columns=kept), options, units_in_headers=False),)
 
     def table(self, path: Path, options: ReadOptions = ALL) -> Table:
         """Every column of the arrays of the most frequent length; others are named only."""
@@ -68,7 +64,7 @@ class NpzReader:
                 found += _columns_of(name, array, mapping if name == "data" else {}, options)
         budget.check_columns(path, len(found))
         unread |= {name: f"{len(a)} rows instead of {usual}" for name, a in arrays.items() if len(a) != usual}
-        return Table(found, (), unread)
+        return Table(found, (), unread, tuple(name for name, _ in found))
 
 
 def _arrays(path: Path, budget: Budget) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, list[int]], dict[str, str]]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,50 +14,52 @@ from sysid import scratch
 from sysid.errors import InputError
 from sysid.logs.limits import Budget
 from sysid.logs.reader import ALL, ReadOptions, Stream
-from sysid.logs.table import Columns, Table, is_time, is_wanted, table_stream
+from sysid.logs.table import Table, TableReader, is_time, is_wanted, table_stream
 from sysid.units import split_header
 
 #: Rows of a row group in which an example of a text is sought.
 _TRIED = 64
 
 
-@dataclass(frozen=True)
-class ParquetReader:
+class ParquetReader(TableReader):
     """Numbers of any type, also decimal and in categories; nulls are missing values. Text, lists and records are not read."""
 
-    name: str = "parquet"
-    suffixes: tuple[str, ...] = (".parquet",)
-    clocks: tuple[str, ...] = ("time",)
+    name = "parquet"
+    suffixes = (".parquet",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
-        table, headers = self.table(path, options)
-        return (table_stream(path, table, options, known=() if options.columns is None else headers),)
+        return (table_stream(path, self.table(path, options), options),)
 
-    def columns(self, path: Path, options: ReadOptions = ALL) -> tuple[Columns, tuple[str, ...]]:
-        """Name → numbers of the wanted columns, in the order of the file, and the losses."""
-        table, _ = self.table(path, options)
-        return table.numbers, table.losses
-
-    def table(self, path: Path, options: ReadOptions = ALL) -> tuple[Table, tuple[str, ...]]:
-        """The wanted columns, in the order of the file, and the headers of all with numbers or stamps."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+    def table(self, path: Path, options: ReadOptions = ALL) -> Table:
         budget = options.budget_of(path, "a Parquet file", None)
-        try:
-            with pq.ParquetFile(path) as file:
-                budget.check_columns(path, file.metadata.num_columns)
-                kinds = {field.name: _kind(field.type) for field in file.schema_arrow}
-                headers = tuple(name for name, kind in kinds.items() if kind)
-                names = [n for n in headers if is_wanted(n, options) or (options.time is None and kinds[n] == "datetime64[ns]")]
-                rows = file.metadata.num_rows  # a few bytes may claim any number
-                budget.check_numbers(path, rows * len(names))
-                columns = [(name, _values(file, name, kinds[name], rows, options)) for name in names]
-                others = [field for field in file.schema_arrow if not kinds[field.name]]
-                unread = {split_header(field.name)[0]: _unread(file, field, budget) for field in others}
-        except (pa.ArrowException, OSError, ValueError, KeyError) as error:  # also names that are no text
-            raise InputError(path, f"not readable as Parquet ({error})", "a Parquet file") from None
-        return Table(columns, (), unread), headers
+        with reading_parquet(path, "a Parquet file") as file:
+            budget.check_columns(path, file.metadata.num_columns)
+            kinds = {field.name: _kind(field.type) for field in file.schema_arrow}
+            headers = tuple(name for name, kind in kinds.items() if kind)
+            names = [n for n in headers if is_wanted(n, options) or (options.time is None and kinds[n] == "datetime64[ns]")]
+            rows = file.metadata.num_rows  # a few bytes may claim any number
+            budget.check_numbers(path, rows * len(names))
+            columns = [(name, _values(file, name, kinds[name], rows, options)) for name in names]
+            others = [field for field in file.schema_arrow if not kinds[field.name]]
+            unread = {split_header(field.name)[0]: _unread(file, field, budget) for field in others}
+        return Table(columns, (), unread, headers)
+
+
+@contextmanager
+def reading_parquet(path: Path, expected: str) -> Iterator[Any]:
+    """The file, opened; whatever a damaged one causes, also names that are no text, is an error of the file.
+
+    Raises:
+        InputError: not readable.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(path) as file:
+            yield file
+    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+        raise InputError(path, f"not readable as Parquet ({error})", expected) from None
 
 
 def _kind(kind: Any) -> str:

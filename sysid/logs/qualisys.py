@@ -9,7 +9,6 @@ Source: Qualisys Track Manager documentation, "Motion data (.tsv)" and "6DOF dat
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from sysid.logs.capture import (
     unique_names,
     without_lost,
 )
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import to_ns
 
 _WHAT = "a Qualisys TSV export"
@@ -35,13 +34,11 @@ _NAMES = {"3D": "MARKER_NAMES", "6D": "BODY_NAMES"}
 _CELLS = {"3D": 3, "6D": 16}
 
 
-@dataclass(frozen=True)
-class QualisysReader:
+class QualisysReader(LogReader):
     """Streams have the name of the marker or body in Qualisys Track Manager."""
 
-    name: str = "qualisys"
-    suffixes: tuple[str, ...] = ()
-    clocks: tuple[str, ...] = ("capture",)
+    name = "qualisys"
+    clocks = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, _WHAT)

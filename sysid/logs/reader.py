@@ -6,10 +6,10 @@ A stream is the samples of one sensor or controller in one file, with their own 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -138,25 +138,24 @@ class ReadOptions:
 ALL = ReadOptions()
 
 
-class LogReader(Protocol):
+class LogReader(ABC):
     """Reader of one file format. ``clocks`` lists the stamps of its streams, the default first."""
 
-    @property
-    def name(self) -> str: ...
+    name: str
+    suffixes: tuple[str, ...] = ()
+    clocks: tuple[str, ...]
 
-    @property
-    def suffixes(self) -> tuple[str, ...]: ...
-
-    @property
-    def clocks(self) -> tuple[str, ...]: ...
-
+    @abstractmethod
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         """All streams of the file.
 
         Raises:
             InputError: the file is empty, not of this format or version, or takes more than its budget.
         """
-        ...
+
+    def unstated(self, path: Path) -> dict[str, str]:
+        """Keys that a recipe has to state because the file does not, with a common value."""
+        return {}
 
 
 def read_confined(reader: LogReader, path: Path, options: ReadOptions) -> tuple[Stream, ...]:

@@ -24,7 +24,7 @@ import numpy as np
 from sysid import scratch
 from sysid.errors import InputError, StorageError
 from sysid.logs.limits import FREE, MAX_RATIO, Budget, check_file, unpack
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.topics import Topic, check_held, check_topics, finished, make_decoder
 
 #: Tables of an sqlite file that the library reads.
@@ -162,13 +162,12 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _BATCH, _HELD = 4 * 2**20, 32 * 2**20
 
 
-@dataclass(frozen=True)
-class Ros1Reader:
+class Ros1Reader(LogReader):
     """ROS 1 bags of format 2.0."""
 
-    name: str = "rosbag1"
-    suffixes: tuple[str, ...] = (".bag",)
-    clocks: tuple[str, ...] = ("header", "log")
+    name = "rosbag1"
+    suffixes = (".bag",)
+    clocks = ("header", "log")
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -208,16 +207,15 @@ class Ros1Reader:
         return bag.streams()
 
 
-@dataclass(frozen=True)
-class Rosbag2Reader:
+class Rosbag2Reader(LogReader):
     """rosbag2 in sqlite (``.db3``), each file by itself: ``metadata.yaml`` is not needed.
 
     Messages that a recorder had not yet moved from its write-ahead log (``.db3-wal``) into the file are read from there.
     """
 
-    name: str = "rosbag2"
-    suffixes: tuple[str, ...] = (".db3", ".zstd")
-    clocks: tuple[str, ...] = ("header", "log")
+    name = "rosbag2"
+    suffixes = (".db3", ".zstd")
+    clocks = ("header", "log")
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         import apsw

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ import pandas as pd
 
 from sysid import scratch
 from sysid.errors import InputError, nearest
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import ALL, LogReader, ReadOptions, Stream
 from sysid.logs.time_unit import FEWEST, SECONDS, TimeUnit, as_unit, days_origin, likely_units
 from sysid.units import si_factor, split_header
 
@@ -47,11 +48,13 @@ class Table:
         columns: those with numbers or stamps.
         losses: as of :class:`sysid.logs.Stream`.
         unread: name of a column without numbers → what it has instead.
+        headers: of all columns with numbers or stamps, also of those that were not read.
     """
 
     columns: TypedColumns = ()
     losses: tuple[str, ...] = ()
     unread: Mapping[str, str] = field(default_factory=dict)
+    headers: tuple[str, ...] = ()
 
     @classmethod
     def joined(cls, tables: Sequence[Table]) -> Table:
@@ -71,6 +74,16 @@ class Table:
         ]
 
 
+class TableReader(LogReader):
+    """Reader of a format with one plain table a file."""
+
+    clocks = ("time",)
+
+    @abstractmethod
+    def table(self, path: Path, options: ReadOptions = ALL) -> Table:
+        """The wanted columns, in the order of the file."""
+
+
 def _floats(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     if values.dtype == np.float64:
         return values
@@ -81,13 +94,14 @@ def _floats(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     return seconds
 
 
-def without_line_end(path: Path) -> bool:
+def without_line_end(path: Path, encoding: str = "utf-8") -> bool:
     """Whether a text file ends within a row."""
+    size = 2 if encoding.startswith("utf-16") else 1
     with path.open("rb") as file:
-        if not file.seek(0, 2):
+        if file.seek(0, 2) < size:
             return False
-        file.seek(-1, 2)
-        return file.read(1) not in (b"\n", b"\r")
+        file.seek(-size, 2)
+        return file.read(size).decode(encoding, "replace") not in ("\n", "\r")
 
 
 def text_chunks(
@@ -150,12 +164,8 @@ def is_time(name: str, options: ReadOptions) -> bool:
     return name == options.time or (options.time is None and options.rate_hz is None and name in TIME_NAMES)
 
 
-def table_stream(
-    path: Path, table: Table, options: ReadOptions, units_in_headers: bool = True, known: Sequence[str] = ()
-) -> Stream:
+def table_stream(path: Path, table: Table, options: ReadOptions, units_in_headers: bool = True) -> Stream:
     """The stream of a plain table; headers may carry units (``boom.cylinder [mm]``).
-
-    ``known``: all headers, where only the wanted columns were read.
 
     Raises:
         InputError: no time column, no rows, a time column with missing values, two columns of one name, or a wanted column
@@ -164,6 +174,7 @@ def table_stream(
     values: dict[str, npt.NDArray[Any]] = {}
     units: dict[str, str] = {}
     losses, unread = list(table.losses), dict(table.unread)
+    known = () if options.columns is None else table.headers
     fields = tuple(split_header(header)[0] if units_in_headers else header for header in known)
     for header, column in table.columns:
         name, unit = split_header(header) if units_in_headers else (header, None)

@@ -102,7 +102,7 @@ STAMP_FIELDS = tuple(
     for prefix in ("header.stamp", "stamp", "timestamp")
     for seconds, nanoseconds in (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"), ("seconds", "nanos"))
 )
-_STAMPS = frozenset(path for pair in STAMP_FIELDS for path in pair)
+STAMP_PATHS = frozenset(path for pair in STAMP_FIELDS for path in pair)
 
 
 @dataclass
@@ -123,8 +123,6 @@ class TopicColumns:
     crowded: bool = False
     #: Number of messages of a preview, of which the values are read; None: all.
     previewed: int | None = None
-    #: Number of messages that the file states.
-    stated: int = 0
     _columns: dict[str, GrowingArray] = field(default_factory=dict)
     #: Names with the same values in every message (``position[2]``, ``position[boom]``) → their common column.
     _sharing: dict[tuple[str, ...], GrowingArray] = field(default_factory=dict)
@@ -156,10 +154,10 @@ class TopicColumns:
         for column in self._kept(tuple(name for name in names if self._is_new_or_known(name))):
             column.put(where, values)
         for name in names:
-            if name in _STAMPS:
+            if name in STAMP_PATHS:
                 stamps = self._stamps.get(name)
                 if stamps is None:
-                    stamps = self._stamps[name] = GrowingArray(0, values.dtype.newbyteorder("="), expected=self.stated)
+                    stamps = self._stamps[name] = GrowingArray(0, values.dtype.newbyteorder("="))
                 stamps.put(where, values)
 
     def _is_new_or_known(self, name: str) -> bool:
@@ -183,7 +181,7 @@ class TopicColumns:
             if self.wanted is None and len(self._columns) + len(names) > self._room():
                 self.crowded = True
                 return []
-            column = GrowingArray(np.nan, expected=self.stated)
+            column = GrowingArray(np.nan)
             self._columns.update(dict.fromkeys(names, column))
             if names:
                 self._sharing[names] = column

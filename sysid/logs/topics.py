@@ -58,16 +58,14 @@ def make_decoder(
     cells = budget.numbers
     wanted = None if options.fields is None else frozenset(options.fields.get(topic, ()))
     preview = PREVIEW if options.preview else None
+    text = schema.decode("utf-8", errors="replace")
     match message_encoding, schema_encoding:
         case "ros1", "ros1msg":
-            text = schema.decode("utf-8", errors="replace")
             definition = parse_definition(kind, text, where, ros1=True)
             return ColumnDecoder(definition, wanted, preview, packed=True, cells=cells)
         case "cdr", "ros2msg":
-            text = schema.decode("utf-8", errors="replace")
             return ColumnDecoder(parse_definition(kind, text, where), wanted, preview, cells=cells)
         case "cdr", "ros2idl" | "omgidl":
-            text = schema.decode("utf-8", errors="replace")
             return ColumnDecoder(parse_idl(kind, text, where), wanted, preview, cells=cells)
         case "json", "jsonschema" | "":
             return RowDecoder(parse_json, wanted, preview, cells)
@@ -94,12 +92,6 @@ class Topic:
     def held(self) -> int:
         """Number of stamps and values kept."""
         return self.log.found + self.publish.found + self.decoder.columns.held
-
-    def expect(self, count: int) -> None:
-        """Reserve for the messages of this topic that the file states."""
-        columns = self.decoder.columns
-        columns.stated += count
-        self.log.expected = self.publish.expected = columns.stated
 
     def stream(self, path: Path, losses: Iterable[str]) -> Stream:
         """The stream. Clocks: ``header`` where a stamp is set in the messages, ``log``, ``publish`` where the file has it."""

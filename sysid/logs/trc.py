@@ -7,7 +7,6 @@ Source: OpenSim documentation, "Marker (.trc) Files".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -15,19 +14,18 @@ import numpy as np
 
 from sysid.errors import InputError
 from sysid.logs.capture import length_factor, number_rows, separator_of, text_lines, unique_names, without_lost
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import to_ns
 
 _WHAT = "a TRC file of motion capture"
 
 
-@dataclass(frozen=True)
-class TrcReader:
+class TrcReader(LogReader):
     """CAN logs with the same suffix begin with a semicolon and are read by ``can``."""
 
-    name: str = "trc"
-    suffixes: tuple[str, ...] = (".trc",)
-    clocks: tuple[str, ...] = ("capture",)
+    name = "trc"
+    suffixes = (".trc",)
+    clocks = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, _WHAT)

@@ -12,7 +12,6 @@ import io
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy.typing as npt
 from sysid.errors import InputError
 from sysid.extras import install_remedy
 from sysid.logs.limits import Budget
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.names import listed
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -36,13 +35,12 @@ _AGAIN = 8
 LARGEST_NS = 2**63 - 1
 
 
-@dataclass(frozen=True)
-class UlogReader:
+class UlogReader(LogReader):
     """``boot`` stamps: the ``timestamp`` of each message, microseconds since the autopilot booted."""
 
-    name: str = "ulog"
-    suffixes: tuple[str, ...] = (".ulg",)
-    clocks: tuple[str, ...] = ("boot",)
+    name = "ulog"
+    suffixes = (".ulg",)
+    clocks = ("boot",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, _WHAT)

@@ -18,7 +18,7 @@ import numpy as np
 from sysid.errors import InputError
 from sysid.logs.capture import Array, number_of, number_rows, separator_of, text_lines, without_lost
 from sysid.logs.limits import uneven_sections
-from sysid.logs.reader import ReadOptions, Stream
+from sysid.logs.reader import LogReader, ReadOptions, Stream
 from sysid.logs.table import to_ns
 from sysid.units import si_factor
 
@@ -45,13 +45,11 @@ class _Section:
     last: bool
 
 
-@dataclass(frozen=True)
-class ViconReader:
+class ViconReader(LogReader):
     """Streams have the name of the marker, segment or device in Nexus, with the subject in front (``crane:tip``)."""
 
-    name: str = "vicon"
-    suffixes: tuple[str, ...] = ()
-    clocks: tuple[str, ...] = ("capture",)
+    name = "vicon"
+    clocks = ("capture",)
 
     def read(self, path: Path, options: ReadOptions) -> tuple[Stream, ...]:
         budget = options.budget_of(path, _WHAT)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -149,6 +150,16 @@ class Kinematics:
                 below += [joint.child for joint in self.joints.values() if joint.parent == link]
         return found
 
+    def moved_frames(self) -> Iterator[tuple[int, Joint, Array]]:
+        """Of each joint of the chain: number of the last joint up to it that an axis moves (−1: none), the joint, and the pose
+        (4, 4) of its child in the frame that this one moves, or in that of the root."""
+        number, frame = -1, np.eye(4)
+        for joint in self.chain:
+            frame = frame @ joint.origin
+            if joint.name in self.drives:
+                number, frame = number + 1, np.eye(4)
+            yield number, joint, frame
+
     def is_prismatic(self, joint: str) -> bool:
         return self.joints[joint].prismatic
 
@@ -181,10 +192,28 @@ class Kinematics:
 
 def rotation_about(axis: Array, angle: Array) -> Array:
     """Rotation matrices about a unit ``axis`` (3,) by ``angle`` (n,), (n, 3, 3) (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cross = cross_matrix(axis)
     sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
     return np.asarray(np.eye(3) + sin * cross + (1.0 - cos) * (cross @ cross))
+
+
+def cross_matrix(vector: Array) -> Array:
+    """[v]×, (3, 3): its product with a vector is the cross product of v (3,) and that."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def rotation_by(vector: Array) -> Array:
+    """The rotation by a rotation vector (3,), (3, 3)."""
+    angle = float(np.linalg.norm(vector))
+    return np.asarray(rotation_about(vector / angle, np.array([angle]))[0]) if angle > 0.0 else np.eye(3)
+
+
+def pose_of(rotation: Array, place: Array) -> Array:
+    """A rotation (3, 3) and a place (3,) [m] as one pose, (4, 4)."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, place
+    return pose
 
 
 def parse_urdf(text: str) -> tuple[dict[str, Joint], dict[str, tuple[float, tuple[float, float, float]]]]:
@@ -228,10 +257,8 @@ def origin_pose(origin: Element | None, where: str = "urdf") -> Array:
     Raises:
         SettingsError: entries that are not three finite numbers.
     """
-    pose = np.eye(4)
-    pose[:3, 3] = _vector(origin, "xyz", "0 0 0", where)
-    pose[:3, :3] = _from_rpy(_vector(origin, "rpy", "0 0 0", where))
-    return pose
+    place = _vector(origin, "xyz", "0 0 0", where)
+    return pose_of(_from_rpy(_vector(origin, "rpy", "0 0 0", where)), place)
 
 
 def _vector(element: Element | None, key: str, default: str, where: str) -> Array:

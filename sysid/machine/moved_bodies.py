@@ -55,12 +55,9 @@ def moved_inertias(kinematics: Kinematics, urdf: str) -> Array:
     links = {link.get("name", ""): link for link in urdf_tree(urdf).findall("link")}
     on_chain = {joint.name for joint in kinematics.chain}
     rows: list[Array] = []
-    frame = np.eye(4)
-    for joint in kinematics.chain:
-        frame = frame @ joint.origin
-        if joint.name in kinematics.drives:
+    for number, joint, frame in kinematics.moved_frames():
+        if number == len(rows):
             rows.append(np.zeros(PARAMETERS))
-            frame = np.eye(4)
         if rows:  # fixed masses have no influence
             rows[-1] += _rigid(kinematics, links, joint.child, frame, on_chain)
     return np.array(rows).reshape(-1, PARAMETERS)
@@ -85,11 +82,9 @@ def _groups(kinematics: Kinematics) -> tuple[list[list[tuple[float, Array]]], Ar
     """Masses and their centres that each moved joint moves, in its frame, and the tip (3,) in that of the last one [m]."""
     groups: list[list[tuple[float, Array]]] = []
     frame = np.eye(4)
-    for joint in kinematics.chain:
-        frame = frame @ joint.origin
-        if joint.name in kinematics.drives:
+    for number, joint, frame in kinematics.moved_frames():
+        if number == len(groups):
             groups.append([])
-            frame = np.eye(4)
         if groups:  # fixed masses load no axis
             groups[-1] += _bodies(kinematics, joint.child, frame)
     return groups, frame[:3, 3]

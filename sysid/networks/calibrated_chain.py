@@ -35,7 +35,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.machine.kinematics import Drive, Joint, Kinematics, rotation_about
+from sysid.machine.kinematics import Drive, Joint, Kinematics, cross_matrix
 from sysid.machine.moved_bodies import moved_bodies
 
 Array = npt.NDArray[np.float64]
@@ -141,15 +141,8 @@ def moving_joints(kinematics: Kinematics) -> tuple[MovingJoint, ...]:
 def point_on(kinematics: Kinematics, link: str) -> tuple[int, Array]:
     """Number of the last moving joint before a link of the chain, −1 for a link of the base, and the pose of the link's frame
     in the frame which that joint moves, (4, 4)."""
-    number, pose = -1, np.eye(4)
-    for joint in kinematics.chain:
-        if joint.parent == link:
-            break
-        if joint.name in kinematics.drives:
-            number, pose = number + 1, np.eye(4)
-        else:
-            pose = pose @ joint.origin
-    return number, pose
+    found = ((number, pose) for number, joint, pose in kinematics.moved_frames() if joint.child == link)
+    return next(found, (-1, np.eye(4)))
 
 
 def _displacements(joint: Joint) -> tuple[Array, tuple[tuple[str, str], ...], int]:
@@ -166,12 +159,6 @@ def _displacements(joint: Joint) -> tuple[Array, tuple[tuple[str, str], ...], in
     own = main if joint.prismatic else 3 + main
     names[own] = ("offset", names[own][1])
     return directions, tuple(names), main
-
-
-def exp(rotation: Array) -> Array:
-    """The rotation by a rotation vector, (3, 3)."""
-    angle = float(np.linalg.norm(rotation))
-    return np.asarray(rotation_about(rotation / angle, np.array([angle]))[0]) if angle > 0.0 else np.eye(3)
 
 
 def exps(rotations: Array) -> Array:
@@ -191,8 +178,7 @@ def left_jacobian(rotation: Array) -> Array:
     angle = float(np.linalg.norm(rotation))
     if angle < 1e-8:
         return np.eye(3)
-    x, y, z = rotation
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cross = cross_matrix(rotation)
     sine, versine = (angle - np.sin(angle)) / angle**3, (1.0 - np.cos(angle)) / angle**2
     return np.asarray(np.eye(3) + versine * cross + sine * cross @ cross)
 
@@ -231,9 +217,9 @@ class FoldedJoint:
         column: int, stretch: float, offset: float, prismatic: bool, axis: Array, rotation: Array, shift: Array
     ) -> FoldedJoint:
         along = np.outer(axis, axis)
-        x, y, z = axis
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        parts = [rotation] if prismatic else [rotation @ along, rotation @ (np.eye(3) - along), rotation @ cross]
+        parts = [rotation]
+        if not prismatic:
+            parts = [rotation @ along, rotation @ (np.eye(3) - along), rotation @ cross_matrix(axis)]
         return FoldedJoint(column, stretch, offset, prismatic, shift[:, None], np.vstack(parts), (rotation @ axis)[:, None])
 
 

@@ -336,7 +336,7 @@ def calibrate(
 def calibrate_poses(geometry: Geometry, poses: PoseSet, elastic: bool = True, compare: bool = False) -> Calibration:
     """:func:`calibrate` of a registered geometry; with the comparison with other models on folds of the poses."""
     fit, evidence = selected_fit(geometry, poses, elastic)
-    members = frozenset(np.flatnonzero(fit.free & geometry.optional).tolist())
+    members = _members(fit.free, geometry)
     information, priors = fit.information, geometry.priors[fit.free]
     covariance = np.zeros((len(fit.free), len(fit.free)))
     covariance[np.ix_(fit.free, fit.free)] = np.linalg.inv(information + np.eye(len(priors))) * np.outer(priors, priors)

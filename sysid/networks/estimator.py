@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import KW_ONLY, dataclass, fields
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -19,13 +19,14 @@ from sklearn.model_selection import GroupShuffleSplit, ShuffleSplit, check_cv
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sysid.errors import SettingsError
-from sysid.networks.member import EnsembleMember, LearningCurve, TrainingSettings
-from sysid.networks.mlp import Mlp, Rectifier
+from sysid.networks.member import EnsembleMember, TrainingSettings
+from sysid.networks.mlp import Rectifier
 from sysid.networks.training import train
 
 Array = npt.NDArray[np.float64]
 
 
+@dataclass(eq=False, repr=False)
 class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """The mean of ``members`` perceptrons with normalisation inside and early stopping.
 
@@ -41,36 +42,20 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         networks_: one :class:`Mlp` per member; ``learning_curves_``: one :class:`LearningCurve` per member.
     """
 
-    def __init__(
-        self,
-        hidden: Sequence[int] = (64, 64),
-        *,
-        members: int = 1,
-        learning_rate: float = 1e-3,
-        batch: int = 64,
-        epochs: int = 500,
-        patience: int = 100,
-        check_every: int = 5,
-        schedule: Literal["constant", "cosine"] = "cosine",
-        validation_fraction: float = 0.1,
-        random_state: int = 0,
-        threads: int = 0,
-        device: Literal["auto", "cpu", "cuda"] = "auto",
-        rectifier: Rectifier = "relu",
-    ) -> None:
-        self.hidden = hidden
-        self.members = members
-        self.learning_rate = learning_rate
-        self.batch = batch
-        self.epochs = epochs
-        self.patience = patience
-        self.check_every = check_every
-        self.schedule = schedule
-        self.validation_fraction = validation_fraction
-        self.random_state = random_state
-        self.threads = threads
-        self.device = device
-        self.rectifier = rectifier
+    hidden: Sequence[int] = (64, 64)
+    _: KW_ONLY
+    members: int = 1
+    learning_rate: float = 1e-3
+    batch: int = 64
+    epochs: int = 500
+    patience: int = 100
+    check_every: int = 5
+    schedule: Literal["constant", "cosine"] = "cosine"
+    validation_fraction: float = 0.1
+    random_state: int = 0
+    threads: int = 0
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    rectifier: Rectifier = "relu"
 
     def fit(self, X: npt.ArrayLike, y: npt.ArrayLike, groups: npt.ArrayLike | None = None) -> Self:
         """Fit ``y`` (n,) or (n, d_out) to ``X`` (n, d_in), both in SI units.
@@ -136,9 +121,6 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             for number in range(self.members)
         ]
 
-    def _take(self, networks: tuple[Mlp, ...], learning_curves: tuple[LearningCurve, ...]) -> None:
-        self.networks_, self.learning_curves_ = networks, learning_curves
-
 
 #: An estimator, its rows X and y, and their groups.
 Task = tuple[NetworkRegressor, npt.ArrayLike, npt.ArrayLike, npt.ArrayLike | None]
@@ -160,7 +142,8 @@ def fit_together(tasks: Sequence[Task]) -> None:
         trained = iter(train(whole, tuple(first.hidden), first._settings(), first.random_state))
         for estimator, members in group:
             results = [next(trained) for _ in members]
-            estimator._take(tuple(one.mlp for one in results), tuple(one.curve for one in results))
+            estimator.networks_ = tuple(one.mlp for one in results)
+            estimator.learning_curves_ = tuple(one.curve for one in results)
 
 
 def cross_validate(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,13 +36,26 @@ STILL_SPEED = 0.02
 STILL_S = 0.2
 
 
+@dataclass(frozen=True, kw_only=True)
 class ForwardModel(ABC):
-    """A fitted model of joints → end effector; fields as in :class:`ForwardNetwork`."""
+    """A fitted model of joint values → end effector in the base frame.
+
+    Args:
+        joints: signals of the inputs, in kinematic order.
+        revolute: which of them are angles.
+        members: networks whose outputs are averaged.
+        low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
+        learning_curves: of the members.
+        uncertainty: intervals and training domain; None for a version of an earlier release.
+    """
 
     joints: tuple[str, ...]
+    revolute: tuple[bool, ...]
+    members: tuple[Mlp, ...]
     low: Array
     high: Array
-    uncertainty: NetworkUncertainty | None
+    learning_curves: tuple[LearningCurve, ...] = ()
+    uncertainty: NetworkUncertainty | None = None
 
     @abstractmethod
     def predict(self, q: npt.ArrayLike) -> Array:
@@ -78,28 +92,11 @@ class ForwardModel(ABC):
         return values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ForwardNetwork(ForwardModel):
-    """Joint values → end effector in the base frame.
+    """Perceptrons alone; ``features``: how the joint values enter them."""
 
-    Args:
-        joints: signals of the inputs, in kinematic order.
-        revolute: which of them are angles.
-        features: how they enter the network.
-        members: networks whose predictions are averaged.
-        low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
-        learning_curves: of the members.
-        uncertainty: intervals and training domain; None for a version of an earlier release.
-    """
-
-    joints: tuple[str, ...]
-    revolute: tuple[bool, ...]
     features: Features
-    members: tuple[Mlp, ...]
-    low: Array
-    high: Array
-    learning_curves: tuple[LearningCurve, ...] = ()
-    uncertainty: NetworkUncertainty | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
         each = self._every(q)
@@ -127,30 +124,36 @@ def fit_forward_network(
     joints = forward_joints(dataset)
     count = len(joints)
     revolute = tuple(is_angle(dataset, signal) for signal in joints)
-    names = feature_names(joints, revolute, recipe.forward.features)
-    members = [
-        EnsembleMember(
-            name=f"forward {number}" if recipe.forward.members > 1 else "forward",
-            inputs=to_features(fit.values[:, :count], revolute, recipe.forward.features),
-            outputs=fit.values[:, count:],
-            validation_inputs=to_features(select.values[:, :count], revolute, recipe.forward.features),
-            validation_outputs=select.values[:, count:],
-            input_names=names,
-            output_names=point_signals("ee"),
-            rectifier=recipe.forward.rectifier,
-        )
-        for number in range(1, recipe.forward.members + 1)
-    ]
+    features = recipe.forward.features
+    rows, others = ((to_features(r.values[:, :count], revolute, features), r.values[:, count:]) for r in (fit, select))
+    names = [f"forward {number}" for number in range(1, recipe.forward.members + 1)]
+    members = forward_members(
+        names if len(names) > 1 else ["forward"], rows, others, feature_names(joints, revolute, features), recipe
+    )
     trained = train(members, recipe.forward.hidden, recipe.forward.training, recipe.seed, progress, checkpoints)
     return ForwardNetwork(
         joints=joints,
         revolute=revolute,
-        features=recipe.forward.features,
+        features=features,
         members=tuple(result.mlp for result in trained),
         low=fit.values[:, :count].min(axis=0),
         high=fit.values[:, :count].max(axis=0),
         learning_curves=tuple(result.curve for result in trained),
     )
+
+
+def forward_members(
+    names: Sequence[str],
+    fit: tuple[Array, Array],
+    select: tuple[Array, Array],
+    input_names: tuple[str, ...],
+    recipe: NetworkRecipe,
+) -> list[EnsembleMember]:
+    """Networks with these names on the same rows of inputs (n, d) and outputs (n, 3)."""
+    return [
+        EnsembleMember(name, *fit, *select, input_names, point_signals("ee"), rectifier=recipe.forward.rectifier)
+        for name in names
+    ]
 
 
 def training_rows(

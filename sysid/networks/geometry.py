@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from sysid.machine.kinematics import GRAVITY, Kinematics
+from sysid.machine.kinematics import GRAVITY, Kinematics, rotation_by
 from sysid.networks import calibrated_chain as sizes
 from sysid.networks.calibrated_chain import (
     ElasticChain,
@@ -33,7 +33,6 @@ from sysid.networks.calibrated_chain import (
     GeometryParameter,
     MovingJoint,
     cross,
-    exp,
     exps,
     left_jacobian,
     moving_joints,
@@ -162,7 +161,7 @@ class Geometry:
             start = self.frame @ moved.before if number == 0 else moved.before
             base = start[:3, :3]
             own = values[self._displaced[number]]
-            rotation = base @ exp(own[3:] @ moved.directions)
+            rotation = base @ rotation_by(own[3:] @ moved.directions)
             shift = start[:3, 3] + base @ (own[:3] @ moved.directions)
             ratio, offset = moved.drive.ratio * (1.0 + self._scale(values, number)), moved.drive.offset
             joints.append(
@@ -179,7 +178,7 @@ class Geometry:
             master = self._axis_joint[moved.drive.column]
             joints.append(
                 ElasticJoint(
-                    turn=base @ exp(own[3:] @ moved.directions),
+                    turn=base @ rotation_by(own[3:] @ moved.directions),
                     shift=moved.before[:3, 3] + base @ (own[:3] @ moved.directions),
                     axis=np.asarray(moved.joint.axis, dtype=np.float64),
                     prismatic=moved.joint.prismatic,
@@ -278,7 +277,7 @@ class Geometry:
             own = values[self._displaced[number]]
             base = rotation @ moved.before[:3, :3]
             position = position + rotation @ moved.before[:3, 3] + base @ (own[:3] @ moved.directions)
-            turned = rotation = base @ exp(own[3:] @ moved.directions)
+            turned = rotation = base @ rotation_by(own[3:] @ moved.directions)
             if np.any(values[self._laterals[number]]):
                 rotation = turned @ exps(self._tilt(values, loads, number))
             before.append(base)

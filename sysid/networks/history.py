@@ -85,15 +85,16 @@ class HistoryStream:
     """One direction, sample by sample with :meth:`step`, without torch."""
 
     def __init__(self, static: Callable[[Array], Array], correction: HistoryCorrection, rate_hz: float) -> None:
-        self._static, self._correction = static, correction.stream(rate_hz)
+        self._static, self._correction, self._timing = static, correction, correction.timing(rate_hz)
+        self.reset()
 
     def reset(self) -> None:
         """Reset the state."""
-        self._correction.reset()
+        self._state = self._correction.state()
 
     def step(self, value: float) -> float:
         """The next sample of the input [SI] → the output [SI]; NaN gives NaN and resets the state."""
-        return float(self._static(np.array([value]))[0]) + self._correction.step(value)
+        return float(self._static(np.array([value]))[0]) + self._correction.step(self._state, value, self._timing)
 
 
 def fit_history(
@@ -173,7 +174,7 @@ def recording_windows(
     """Sequences without a gap in the input: inputs of the correction, and mean residual until the next update."""
     found = []
     for segment in parts:
-        rate, stride = segment.recording.rate_hz, correction.stride(segment.recording.rate_hz)
+        stride, interval = correction.timing(segment.recording.rate_hz)
         values, truth = (segment.recording.values(signal)[segment.start : segment.stop] for signal in signals)
         for begin, end in zip(*stretches(np.isfinite(values)), strict=True):
             count = (end - begin) // stride
@@ -181,11 +182,8 @@ def recording_windows(
                 continue
             here = np.ascontiguousarray(values[begin : begin + count * stride])
             residual = truth[begin : begin + count * stride] - predict(here)
-            found.append(
-                RecordingWindow(
-                    correction.inputs(here, stride, stride / rate), interval_means(residual, stride), np.ones(count)
-                )
-            )
+            inputs = correction.inputs(here, stride, interval)
+            found.append(RecordingWindow(inputs, interval_means(residual, stride), np.ones(count)))
     return found
 
 

@@ -56,8 +56,8 @@ class HistoryCorrection:
         """Whether the output is zero, because it did not lower the loss on the select recordings."""
         return not (self.weights["w"].any() or self.weights["w0"].any())
 
-    def stride(self, rate_hz: float) -> int:
-        """Samples from one update to the next.
+    def timing(self, rate_hz: float) -> tuple[int, float]:
+        """Samples, and seconds, from one update to the next.
 
         Raises:
             InputError: samples are further apart than the updates.
@@ -65,25 +65,23 @@ class HistoryCorrection:
         if not rate_hz * self.interval > 0.99:
             found = f"samples at {rate_hz:g} Hz"
             raise InputError("network with history", found, f"at least {1.0 / self.interval:g} Hz, its update rate")
-        return max(1, round(self.interval * rate_hz))
+        stride = max(1, round(self.interval * rate_hz))
+        return stride, stride / rate_hz
 
     def output(self, values: Array, rate_hz: float) -> Array:
         """Output along a motion ``values`` (n,) at ``rate_hz``, (n,); NaN gives NaN and resets the state."""
-        stream = self.stream(rate_hz)
         out = np.empty(len(values))
-        _run(
-            *self._arrays,
-            stream.state,
-            np.ascontiguousarray(values, dtype=np.float64),
-            stream.stride,
-            stream.update_interval,
-            out,
-        )
+        _run(*self._arrays, self.state(), np.ascontiguousarray(values, dtype=np.float64), *self.timing(rate_hz), out)
         return out
 
-    def stream(self, rate_hz: float) -> HistoryCorrectionStream:
-        """The correction with its initial state, for a motion that comes sample by sample."""
-        return HistoryCorrectionStream(self, rate_hz)
+    def state(self) -> Array:
+        """The state before the first sample."""
+        size = _OPERATORS + len(self.widths) + cell.state_size(len(self.weights["mean"]), self.units)
+        return np.concatenate([[np.nan], np.zeros(size - 1)])
+
+    def step(self, state: Array, value: float, timing: tuple[int, float]) -> float:
+        """The next sample of the input → the output; NaN gives NaN and resets the state."""
+        return float(_step(*self._arrays, state, value, *timing))
 
     def inputs(self, values: Array, stride: int, interval: float) -> Array:
         """Inputs of the LSTM at its updates along ``values`` (n,) without NaN, (updates, 2 + K)."""
@@ -96,27 +94,6 @@ class HistoryCorrection:
     @cached_property
     def _arrays(self) -> tuple[Array, Array, Array, Array, float]:
         return cell.flat_weights(self.weights), self.weights["mean"], self.weights["scale"], self.widths, self.bound
-
-
-class HistoryCorrectionStream:
-    """A :class:`HistoryCorrection` with its state ``state``, sample by sample."""
-
-    def __init__(self, correction: HistoryCorrection, rate_hz: float) -> None:
-        self.correction, self.stride = correction, correction.stride(rate_hz)
-        self.update_interval = self.stride / rate_hz
-        self.state = np.zeros(
-            _OPERATORS + len(correction.widths) + cell.state_size(len(correction.weights["mean"]), correction.units)
-        )
-        self.reset()
-
-    def reset(self) -> None:
-        """Reset the state."""
-        self.state[:] = 0.0
-        self.state[_SINCE] = np.nan
-
-    def step(self, value: float) -> float:
-        """The next sample of the input → the output; NaN gives NaN and resets the state."""
-        return float(_step(*self.correction._arrays, self.state, value, self.stride, self.update_interval))
 
 
 @kernel

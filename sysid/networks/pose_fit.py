@@ -34,6 +34,7 @@ import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr
 
+from sysid.machine.kinematics import pose_of
 from sysid.networks.geometry import Geometry
 
 Array = npt.NDArray[np.float64]
@@ -211,8 +212,7 @@ def _fitted(geometry: Geometry, poses: PoseSet) -> Geometry:
         start[3:6] = np.nanmedian(poses.points - places @ turn.T, axis=(0, 1))
     fits = (least_squares(errors, start, loss="soft_l1", f_scale=_KNEE) for start in starts)
     best = min(fits, key=lambda fit: float(fit.cost)).x
-    frame = np.eye(4)
-    frame[:3, :3], frame[:3, 3] = Rotation.from_rotvec(best[:3]).as_matrix(), best[3:6]
+    frame = pose_of(Rotation.from_rotvec(best[:3]).as_matrix(), best[3:6])
     return replace(geometry, frame=frame @ geometry.frame, offsets=geometry.offsets_of_points + best[6:].reshape(count, 3))
 
 
@@ -297,7 +297,9 @@ class SubsetEvidence:
         """The subset from which no addition, exchange or removal raises the evidence by :data:`MIN_GAIN`."""
         best = start
         for _ in range(_MOST_STEPS):
-            for neighbours, price in ((self._smaller(best), -MIN_GAIN), (self._larger(best), MIN_GAIN)):
+            smaller = [best - {parameter} for parameter in sorted(best)]
+            larger = [best | {parameter} for parameter in self.candidates if parameter not in best]
+            for neighbours, price in ((smaller, -MIN_GAIN), (larger, MIN_GAIN)):
                 found = max(neighbours, key=self, default=best)
                 if found != best and self(found) > self(best) + price:
                     best = found
@@ -325,12 +327,6 @@ class SubsetEvidence:
                 instead = keys[alternative]
             found[parameter] = Support(self(members) - self(rest), instead)
         return found
-
-    def _larger(self, members: Set) -> list[Set]:
-        return [members | {parameter} for parameter in self.candidates if parameter not in members]
-
-    def _smaller(self, members: Set) -> list[Set]:
-        return [members - {parameter} for parameter in sorted(members)]
 
     def _exchanged(self, members: Set) -> list[Set]:
         """One parameter for one other of the same joint or of the same kind."""

@@ -25,12 +25,13 @@ from sysid.networks.forward import (
     feature_names,
     fit_forward_network,
     forward_joints,
+    forward_members,
     is_angle,
     to_features,
     training_rows,
 )
 from sysid.networks.geometry import Geometry
-from sysid.networks.member import Checkpoints, EnsembleMember, LearningCurve
+from sysid.networks.member import Checkpoints, LearningCurve
 from sysid.networks.mlp import Mlp
 from sysid.networks.recipe import NetworkRecipe
 from sysid.networks.training import train
@@ -46,32 +47,19 @@ BOUND_FACTOR = 4.0
 MAX_ERROR_SHARE = 0.95
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StructuredForward(ForwardModel):
-    """Joint values → end effector in the base frame.
+    """A geometric model, and networks of its residual; none where they do not help.
 
     Args:
-        joints: signals of the inputs, in kinematic order.
-        revolute: which of them are angles.
         structure: the calibrated geometry of a URDF, or the products of a chain.
         urdf: text of the calibrated URDF; empty for a chain.
-        members: residual networks, averaged; empty where they do not help.
         bound: largest output of the residual networks [m].
-        low, high: range of each joint in the rows it was fitted on, (n_axes,) [rad or m].
-        learning_curves: of the members.
-        uncertainty: intervals and training domain; None for a version of an earlier release.
     """
 
-    joints: tuple[str, ...]
-    revolute: tuple[bool, ...]
     structure: Calibration | FittedChain
     urdf: str
-    members: tuple[Mlp, ...]
     bound: float
-    low: Array
-    high: Array
-    learning_curves: tuple[LearningCurve, ...] = ()
-    uncertainty: NetworkUncertainty | None = None
 
     def predict(self, q: npt.ArrayLike) -> Array:
         values = self._checked(q)
@@ -166,21 +154,15 @@ def _residual_networks(
     bound = BOUND_FACTOR * float(np.sqrt(np.mean(residual**2)))
     if not recipe.forward.residual or bound <= 0.0:
         return (), (), 0.0
-    members = [
-        EnsembleMember(
-            name=f"forward residual {number}",
-            inputs=to_features(q, revolute, "sincos"),
-            outputs=_unbounded(residual, bound),
-            validation_inputs=to_features(q_select, revolute, "sincos"),
-            validation_outputs=_unbounded(select_residual, bound),
-            input_names=feature_names(joints, revolute, "sincos"),
-            output_names=point_signals("ee"),
-            rectifier=recipe.forward.rectifier,
-        )
-        for number in range(1, recipe.forward.members + 1)
-    ]
+    rows, inputs = to_features(q, revolute, "sincos"), to_features(q_select, revolute, "sincos")
+    members = forward_members(
+        [f"forward residual {number}" for number in range(1, recipe.forward.members + 1)],
+        (rows, _unbounded(residual, bound)),
+        (inputs, _unbounded(select_residual, bound)),
+        feature_names(joints, revolute, "sincos"),
+        recipe,
+    )
     trained = train(members, recipe.forward.residual_hidden, recipe.forward.training, recipe.seed, progress, checkpoints)
-    inputs = to_features(q_select, revolute, "sincos")
     predicted = np.mean([bounded(result.mlp.predict(inputs), bound) for result in trained], axis=0)
     if np.sqrt(np.mean((select_residual - predicted) ** 2)) > MAX_ERROR_SHARE * np.sqrt(np.mean(select_residual**2)):
         return (), (), 0.0

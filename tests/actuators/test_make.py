@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sysid.actuators import card_named
-from sysid.actuators.compare import compared, comparison_table
 from sysid.actuators.make import alone
+from sysid.actuators.words import compared, comparison_table
 from sysid.effects.units import parameter_unit
 from sysid.gap.result import WrittenEffect
 from sysid.machine import KnownEffect, machine_from_files

@@ -34,7 +34,7 @@ import numpy as np
 import torch
 from sysid.export.drive_data import drive_data
 from sysid.export.drive_module import module_of
-from sysid.export.torchscript.assembly import script_of
+from sysid.export.torchscript.model import script_of
 from sysid.machine import KnownEffect
 from sysid.plant import nominal_plant
 from sysid.plant.stepper import Stepper

@@ -16,8 +16,9 @@ import pytest
 
 from sysid.effects import CATALOGUE, gripper_sway
 from sysid.export.drive_data import WITHOUT_PART, drive_data
-from sysid.export.drive_module import DATA, MODULE, data_text, module_text
+from sysid.export.drive_module import DATA, MODULE, module_text
 from sysid.export.kernel_source import kernel_source
+from sysid.files import json_text
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, chain, compile_plant, nominal_plant, pose, sensing
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands
@@ -68,7 +69,7 @@ def probe_plant(*effects: KnownEffect) -> Plant:
 def shipped(plant: Plant, folder: Path) -> Any:
     """The model of the two written files, executed as a file of its own."""
     data = drive_data(plant, RATE_HZ)
-    (folder / DATA).write_text(data_text(data), "utf-8")
+    (folder / DATA).write_text(json_text(data), "utf-8")
     module = ModuleType("drive_model")
     module.__file__ = str(folder / MODULE)
     sys.modules["drive_model"] = module  # where dataclasses look their annotations up
@@ -174,7 +175,7 @@ def test_contains_only_the_effects_of_the_plant() -> None:
 def test_runs_without_the_toolkit(tmp_path: Path) -> None:
     """In an interpreter that finds NumPy alone."""
     data = drive_data(probe_plant(KnownEffect("gripper_sway", "tool", {"length": 0.2, "damping_ratio": 0.1})), RATE_HZ)
-    (tmp_path / DATA).write_text(data_text(data), "utf-8")
+    (tmp_path / DATA).write_text(json_text(data), "utf-8")
     (tmp_path / MODULE).write_text(module_text(data), "utf-8")
     code = (
         "import sys; import drive_model; m = drive_model.load(); m.reset([0.1, 0.2, 0.0, 0.3]); "

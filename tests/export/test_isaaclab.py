@@ -18,7 +18,7 @@ from test_torchscript import JOINTS, by_script, commands_of, torch
 from sysid.export.drive_module import load_module
 from sysid.export.isaaclab import ABOUT, FILE, MODEL, IsaacLabTarget
 from sysid.export.posterior import posterior, write_posterior
-from sysid.export.torchscript.assembly import load_script
+from sysid.export.torchscript.model import load_script
 from sysid.machine import KnownEffect
 from sysid.plant import Plant, PlantNumber, Uncertainty
 from sysid.testing.probe import RATE_HZ
@@ -230,7 +230,7 @@ def test_only_documented_names_are_imported() -> None:
 
 def test_the_script_is_that_of_the_plant() -> None:
     """Commands of the probe move every axis, so that a wrong joint order could not pass."""
-    from sysid.export.torchscript.assembly import script_of
+    from sysid.export.torchscript.model import script_of
 
     module = script_of(uncertain(), RATE_HZ)
     signals = by_script(module, module.theta(1), commands_of(uncertain()))

@@ -21,7 +21,8 @@ from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.export.drive_module import load_module
 from sysid.export.export import PAGE, TARGETS, export_plant, target_named
-from sysid.export.mjcf_arm import FILE, LOOP, MujocoArm, arm_simulation
+from sysid.export.mjcf_arm import LOOP, MujocoArm
+from sysid.export.mjcf_bodies import FILE
 from sysid.export.replay import force_replay
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.machine.rigid_body import PARAMETERS
@@ -313,7 +314,7 @@ class Weaker:
 def test_the_motion_under_commands_is_part_of_the_replay(tmp_path: Path) -> None:
     plant = two_links()
     MJCF.write(plant, RATE, tmp_path)
-    arm, recordings = arm_simulation(tmp_path), dataset(plant).with_role("held_out")
+    arm, recordings = MujocoArm(tmp_path), dataset(plant).with_role("held_out")
     whole, weak = force_replay(plant, arm, recordings, {}), force_replay(plant, Weaker(arm), recordings, {})
     assert whole.agrees
     assert [row.signal for row in weak.rows if not row.agrees] == ["lift.command", "elbow.command"]

@@ -17,9 +17,9 @@ from test_drive_model import STICKING, TOGETHER, name_of, placed, probe_plant, s
 
 from sysid.errors import SettingsError
 from sysid.export.isaaclab import posterior_columns, reachable
-from sysid.export.torchscript.assembly import load_script, parameter_columns, save_script, script_of
 from sysid.export.torchscript.graph import Graph
 from sysid.export.torchscript.kernels import Kernels
+from sysid.export.torchscript.model import load_script, parameter_columns, save_script, script_of
 from sysid.machine import KnownEffect, machine_from_files
 from sysid.plant import Plant, PlantNumber, Uncertainty, compile_plant, nominal_plant
 from sysid.plant.stepper import LaneState, Stepper, held_commands, step_commands

@@ -22,7 +22,9 @@ def learned(plant: Plant, axes: tuple[str, ...] | None = None) -> StructuredForw
     revolute = (True, True, True, False)
     chain = fit_chain(joints, tips(compile_plant(plant), joints), revolute)
     names = tuple(axis_signal(axis, "joint") for axis in axes or plant.machine.axis_names)
-    return StructuredForward(names, revolute, chain, "", (), 0.0, low, high)
+    return StructuredForward(
+        joints=names, revolute=revolute, structure=chain, urdf="", members=(), bound=0.0, low=low, high=high
+    )
 
 
 def crane_registry(folder: Path) -> Registry:

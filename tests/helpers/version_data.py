@@ -61,7 +61,9 @@ def perceptron(inputs: int, outputs: int, seed: int, hidden: tuple[int, ...] = (
 def forward(features: str = "joints", members: int = 1, seed: int = 0, rectifier: Rectifier = "relu") -> ForwardNetwork:
     width = {"joints": 4, "sincos": 7, "products": 53}[features]
     every = tuple(perceptron(width, 3, seed + number, rectifier=rectifier) for number in range(members))
-    return ForwardNetwork(JOINTS, REVOLUTE, features, every, LOW, HIGH)  # type: ignore[arg-type]
+    return ForwardNetwork(
+        joints=JOINTS, revolute=REVOLUTE, features=features, members=every, low=LOW, high=HIGH  # type: ignore[arg-type]
+    )  # fmt: skip
 
 
 def structured(kind: str = "calibrated", members: int = 0, seed: int = 0) -> StructuredForward:
@@ -79,14 +81,14 @@ def structured(kind: str = "calibrated", members: int = 0, seed: int = 0) -> Str
         structure = fit_chain(q, geometry.tip(q, values), REVOLUTE)
     rest = tuple(perceptron(7, 3, seed + number) for number in range(members))
     return StructuredForward(
-        JOINTS,
-        REVOLUTE,
-        structure,
-        crane().urdf_text or "",
-        rest,
-        0.01 if members else 0.0,
-        LOW,
-        HIGH,  # type: ignore[arg-type]
+        joints=JOINTS,
+        revolute=REVOLUTE,
+        structure=structure,  # type: ignore[arg-type]
+        urdf=crane().urdf_text or "",
+        members=rest,
+        bound=0.01 if members else 0.0,
+        low=LOW,
+        high=HIGH,
     )
 
 

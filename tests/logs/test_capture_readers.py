@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
-from sysid.logs.motive import MotiveReader, unstated
+from sysid.logs.motive import MotiveReader
 
 
 def read(path: Path, **options: Any) -> dict[str, Stream]:
@@ -102,7 +102,7 @@ def test_motive_euler_angles_in_each_order(tmp_path: Path, order: str) -> None:
         (stream,) = read(path).values()
         read_back = Rotation.from_quat(quaternions(stream))
         assert (read_back.inv() * rotation).magnitude().max() < 1e-12
-        assert unstated(path) == {}
+        assert MotiveReader().unstated(path) == {}
 
 
 RECORDS = (
@@ -121,7 +121,7 @@ RECORDS = (
 
 def test_motive_1_1_records(tmp_path: Path) -> None:
     path = write(tmp_path / "take.csv", *RECORDS)
-    assert unstated(path) == {"length_unit": "m"}
+    assert MotiveReader().unstated(path) == {"length_unit": "m"}
     streams = read(path, length_unit="m")
     np.testing.assert_allclose(positions(streams["boom"]), [[1, 2, 3], [np.nan] * 3, [np.nan, 2, 3]])
     np.testing.assert_allclose(quaternions(streams["boom"])[2], [0, 0, 0.6, 0.8])

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from sysid.errors import InputError
 from sysid.logs import ReadOptions, Stream, reader_for
 from sysid.logs.inspection import inspect_file
-from sysid.logs.motive import VERSIONS, unstated
+from sysid.logs.motive import VERSIONS, MotiveReader
 
 ROWS = 5
 TIMES = np.arange(ROWS) / 120.0
@@ -96,7 +96,7 @@ def test_every_version_gives_the_same(tmp_path: Path, version: str, rotation: st
         tmp_path / "take.csv", version, body(rotation, units, error), rotation if stated else None, units if stated else None
     )
     asked = {} if stated else {"length_unit": "m"} if rotation == "Quaternion" else {"length_unit": "m", "rotation": "XYZ"}
-    assert unstated(path) == asked
+    assert MotiveReader().unstated(path) == asked
     unit = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}[units]
     streams = read(path, length_unit=unit, rotation=None if rotation == "Quaternion" else rotation)
     assert {name: stream.kind for name, stream in streams.items()} == {

@@ -217,7 +217,8 @@ def test_a_table_is_the_same_in_pieces_of_any_size(tmp_path: Path, monkeypatch: 
         for k in range(100)
     ]
     path.write_text("time,a [mm],b,list,label,mixed,empty\n" + "\n".join(rows) + "\n1.5,2,3", "utf-8")
-    whole, losses = CsvReader().columns(path)
+    table = CsvReader().table(path)
+    whole, losses = table.numbers, table.losses
     names = [name for name, _ in whole]
     assert names == ["time", "a [mm]", "b", "list[0]", "list[1]", "mixed", "empty"]
     assert [loss.partition(": ")[2] for loss in losses] == [
@@ -228,11 +229,12 @@ def test_a_table_is_the_same_in_pieces_of_any_size(tmp_path: Path, monkeypatch: 
     assert all(len(values) == 100 for _, values in whole)
     for cells in (1, 70, 96, 500, 800):
         monkeypatch.setattr("sysid.logs.table.CELLS", cells)
-        pieces, said = CsvReader().columns(path)
+        table = CsvReader().table(path)
+        pieces, said = table.numbers, table.losses
         assert said == losses
         assert [name for name, _ in pieces] == names
         for (_, found), (_, expected) in zip(pieces, whole, strict=True):
             np.testing.assert_array_equal(found, expected)
     path.write_text(path.read_text("utf-8") + ",4,5,6,7\n9,9,9,9,9,9,9,9\n", "utf-8")
     with pytest.raises(InputError, match="line 103: 8 values; expected 7, as many as"):
-        CsvReader().columns(path)
+        CsvReader().table(path)

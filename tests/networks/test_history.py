@@ -90,7 +90,7 @@ def test_a_correction_is_a_bounded_lstm_with_play_operators() -> None:
 
     memory = random_memory()
     values = 0.1 + 0.05 * np.sin(np.linspace(0.0, 12.0, 200))
-    stride = memory.stride(RATE)
+    stride, _ = memory.timing(RATE)
     at = np.arange(0, len(values), stride)
     speed = np.diff(values[at], prepend=values[0]) * RATE / stride
     shares = [(values - play(values, width))[at] / width for width in memory.widths]
@@ -134,7 +134,7 @@ def test_sequences_stay_inside_recordings_blocks_and_gaps(data: Dataset, network
     holed = replace(run, table=run.table.assign(**{"boom.cylinder": cylinder, "boom.joint": joint}))
     memory = network.to_joint
     found = recording_windows([RowRange(holed, 100, 1200)], ("boom.cylinder", "boom.joint"), network.static.joint, memory)
-    stride = memory.stride(RATE)
+    stride, _ = memory.timing(RATE)
     assert [len(windows.residual) for windows in found] == [400 // stride, (1200 - 503) // stride]
     for windows, begin in zip(found, (100, 503), strict=True):
         assert np.isfinite(windows.inputs).all()

@@ -43,7 +43,9 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     poses = np.random.default_rng(0).uniform(low, high, (300, 4))
     chain = fit_chain(poses, tips(compile_plant(plant), poses), (True, True, True, False))
     assert isinstance(chain, FittedChain)
-    forward = StructuredForward(JOINTS, (True, True, True, False), chain, "", (), 0.0, low, high)
+    forward = StructuredForward(
+        joints=JOINTS, revolute=(True, True, True, False), structure=chain, urdf="", members=(), bound=0.0, low=low, high=high
+    )
     place.models.register("crane", "plant", plant.to_files(), {"dataset": "crane@1"})
     kind, files = to_files(forward)
     place.models.register("crane-forward", kind, files, {"dataset": "crane@1"})

@@ -148,7 +148,9 @@ def test_the_forward_network_is_evaluated_on_poses_and_on_motion(data: Dataset) 
         Normalisation(home, np.ones(3)),
     )
     joints = tuple(f"{axis}.joint" for axis in ("slew", "boom", "stick", "telescope"))
-    network = ForwardNetwork(joints, (True, True, True, False), "joints", (constant,), LOW, HIGH)
+    network = ForwardNetwork(
+        joints=joints, revolute=(True, True, True, False), features="joints", members=(constant,), low=LOW, high=HIGH
+    )
     report = validate_forward(network, data)
     assert [(entry.output, entry.rows) for entry in report.outputs] == [
         (f"ee.{letter}", rows) for rows in ("poses", "motion") for letter in "xyz"

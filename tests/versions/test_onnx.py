@@ -28,7 +28,9 @@ def palletiser_forward() -> StructuredForward:
     structure = Calibration(geometry, values, np.diag((0.01 * geometry.priors) ** 2), 1e-3, ())
     low, high = np.full(len(JOINTS), -1.2), np.full(len(JOINTS), 1.2)
     names, turning = tuple(f"{name}.joint" for name in JOINTS), (True,) * len(JOINTS)
-    return StructuredForward(names, turning, structure, urdf(), (), 0.0, low, high)
+    return StructuredForward(
+        joints=names, revolute=turning, structure=structure, urdf=urdf(), members=(), bound=0.0, low=low, high=high
+    )
 
 
 onnx = pytest.importorskip("onnx", reason="the extra onnx is not installed")

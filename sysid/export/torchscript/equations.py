@@ -17,7 +17,7 @@ import numpy.typing as npt
 import torch
 
 from sysid.effects import gripper_sway, input_delay, joint_compliance
-from sysid.export.torchscript.graph import Graph, Node, Value
+from sysid.export.torchscript.graph import Graph, Node, Value, is_unset
 from sysid.export.torchscript.kernels import Kernels, Memory
 from sysid.export.torchscript.source import Function, module, source
 from sysid.plant import Plant, chain, compile_plant, sensing, stepper, trig
@@ -191,7 +191,7 @@ class Equations:
         known = set(range(self.width)) - set(constant)
         while True:  # what has begun before the first step
             step = self.record(self.step, self.state(constant, known))
-            begun = {k for k in known if k in self.given or not (_unset(hold.state[k]) or _unset(step.state[k]))}
+            begun = {k for k in known if k in self.given or not (is_unset(hold.state[k]) or is_unset(step.state[k]))}
             if begun == known:
                 break
             known = begun
@@ -247,10 +247,6 @@ ARGUMENTS = {
     "stretch": ("theta", "joints", "load"),
     "read": ("theta", "drive", "joints", "ee", "tool"),
 }
-
-
-def _unset(x: Value) -> bool:
-    return x.unset if isinstance(x, Node) else x != x
 
 
 def _by_parameters(x: Value) -> bool:

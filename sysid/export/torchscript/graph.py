@@ -90,7 +90,7 @@ class Graph:
             except (ArithmeticError, ValueError):  # in a branch that is not used at these parameters
                 value = math.nan
         logical = op in ("isnan", "gt", "ge", "lt", "le", "eq", "ne", "not", "and", "or")
-        unset = not logical and any(_unset(arg) for arg in args)
+        unset = not logical and any(is_unset(arg) for arg in args)
         return self._node(op, args, value, unset)
 
     def parts(self, op: str, count: int, *args: Value) -> tuple[Node, ...]:
@@ -100,7 +100,7 @@ class Graph:
 
     def known(self, x: Value) -> Value:
         """The same value, which is not NaN here."""
-        return self._node("known", (x,), x.value) if _unset(x) else x
+        return self._node("known", (x,), x.value) if is_unset(x) else x
 
     def _node(self, op: str, args: tuple[Any, ...], value: float | None, unset: bool = False) -> Node:
         key = op, unset, *(id(arg) if isinstance(arg, Node) else (type(arg), repr(arg)) for arg in args)
@@ -157,7 +157,8 @@ def _is(x: Value, number: float) -> bool:
     return not isinstance(x, Node) and x == number
 
 
-def _unset(x: Value) -> bool:
+def is_unset(x: Value) -> bool:
+    """Whether a value may be NaN."""
     return x.unset if isinstance(x, Node) else x != x
 
 

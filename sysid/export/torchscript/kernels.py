@@ -9,17 +9,15 @@ from __future__ import annotations
 import ast
 import builtins
 import functools
-import inspect
 import math
 import operator
-import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from sysid.effects import CATALOGUE
-from sysid.export.kernel_source import following
+from sysid.export.kernel_source import definition_of, following
 from sysid.export.torchscript.graph import SAFE, Graph, Node, Value, is_shortcut
 
 #: Operators and functions of a kernel → operations.
@@ -113,10 +111,7 @@ class Kernels:
 @functools.cache
 def _source(kernel: Any) -> tuple[ast.FunctionDef, dict[str, Any]]:
     """Definition of a kernel, and the names of its module."""
-    function = getattr(kernel, "py_func", kernel)
-    definition = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
-    assert isinstance(definition, ast.FunctionDef)
-    return definition, function.__globals__
+    return definition_of(kernel), getattr(kernel, "py_func", kernel).__globals__
 
 
 def _absent(kernel: Any, definition: ast.FunctionDef, args: tuple[Any, ...]) -> bool:

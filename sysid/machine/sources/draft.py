@@ -118,25 +118,26 @@ def axis_names(joints: Collection[str]) -> dict[str, str]:
     return found
 
 
-def stops(low: float, high: float, prismatic: bool) -> tuple[float, float] | None:
-    """Limits to be written for a joint that lacks an end stop on one side or both; None where it has both."""
-    most = WITHOUT_STOPS["prismatic" if prismatic else "revolute"]
+def stops(axis: str, low: float, high: float, prismatic: bool) -> tuple[tuple[float, float] | None, tuple[str, ...]]:
+    """Limits to be written for a joint that lacks an end stop, None where it has both, and the assumption that they are."""
+    most, unit = WITHOUT_STOPS["prismatic" if prismatic else "revolute"], "m" if prismatic else "rad"
     if math.isfinite(low) and math.isfinite(high):
-        return None
+        return None, ()
     if not math.isfinite(low):
         low = -most if not math.isfinite(high) else min(-most, high - most)
-    return low, high if math.isfinite(high) else max(most, low + most)
-
-
-def without_stops(axis: str, limits: tuple[float, float] | None, prismatic: bool) -> tuple[str, ...]:
-    """The assumption that the limits of :func:`stops` are."""
-    unit = "m" if prismatic else "rad"
-    return () if limits is None else (f"end stops of {axis}: {limits[0]:g} and {limits[1]:g} {unit}",)
+    if not math.isfinite(high):
+        high = max(most, low + most)
+    return (low, high), (f"end stops of {axis}: {low:g} and {high:g} {unit}",)
 
 
 def limit_notes(joint: str, *limits: tuple[str, float, str]) -> list[tuple[str, str]]:
     """Limits of a drive that ``machine.toml`` does not contain: what it limits, value, unit; 0 is none."""
     return [(f"{of} limit {value:.6g} {unit} of", joint) for of, value, unit in limits if value > 0.0]
+
+
+def known_effects(axis: str, *values: tuple[str, str, float]) -> list[KnownEffect]:
+    """Effects of an axis: name, parameter and value of each; 0 is none."""
+    return [KnownEffect(effect, axis, {parameter: value}) for effect, parameter, value in values if value > 0.0]
 
 
 def draft_of(

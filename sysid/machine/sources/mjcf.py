@@ -25,16 +25,16 @@ from sysid.machine.sources.draft import (
     MachineDraft,
     axis_names,
     draft_of,
+    known_effects,
     limit_notes,
     stops,
     summarised,
-    without_stops,
 )
 from sysid.machine.sources.mjcf_actuator import (
     Drive,
     dead_time,
     drive_of,
-    friction_effects,
+    gear_of,
     servo_law,
     setpoint_lag,
     why_no_servo,
@@ -199,8 +199,7 @@ def _axis(model: Any, drive: Drive, name: str, servo: bool) -> tuple[AxisDraft, 
     damping, friction = float(model.dof_damping[dof] + _actuators(model, drive, "damping")), float(model.dof_frictionloss[dof])
     low, high = (float(end) for end in model.jnt_range[joint]) if model.jnt_limited[joint] else (-math.inf, math.inf)
     low, high = end_stops(low, high)
-    limits, notes = stops(low, high, straight), list[Note]()
-    assumed = without_stops(name, limits, straight)
+    (limits, assumed), notes = stops(name, low, high, straight), list[Note]()
     actuator = actuator_name(model, drive.actuator) if driven else ""
     notes += [("spring of", its)] if model.jnt_stiffness[joint] or np.any(model.jnt_stiffnesspoly[joint]) else []
     notes += [("damping above first order of", its)] if np.any(model.dof_dampingpoly[dof]) else []
@@ -219,22 +218,17 @@ def _axis(model: Any, drive: Drive, name: str, servo: bool) -> tuple[AxisDraft, 
     armature = float(model.dof_armature[dof] + _actuators(model, drive, "armature"))
     if servo:
         inertia, law = armature or None, servo_law(model, drive)
-        late = dead_time(model, drive)
-        effects += [KnownEffect("input_delay", name, {"delay": late})] if late > 0.0 else []
-        lag = setpoint_lag(model, drive)
-        effects += [KnownEffect("first_order_lag", name, {"time_constant": lag})] if lag > 0.0 else []
-        effects += friction_effects(model, drive, name, damping)
+        late, lag = dead_time(model, drive), setpoint_lag(model, drive)
+        effects += known_effects(name, ("input_delay", "delay", late), ("first_order_lag", "time_constant", lag))
+        effects += _friction(name, damping, friction)
     elif drive.actuation == "force":
         inertia = armature or None
-        braked = damping + drive.damping
-        effects += [KnownEffect("viscous_friction", name, {"coefficient": braked})] if braked > 0.0 else []
-        effects += [KnownEffect("coulomb_friction", name, {"force": friction})] if friction > 0.0 else []
+        effects += _friction(name, damping + drive.damping, friction)
         effects += [KnownEffect("load_bias", name, {"force": -drive.bias})] if drive.bias else []
         notes += [("delay of actuator", actuator)] if drive.delay else []
         notes += [("filter of actuator", actuator)] if drive.filter else []
     else:
-        effects += [KnownEffect("input_delay", name, {"delay": drive.delay})] if drive.delay > 0.0 else []
-        effects += [KnownEffect("command_rate_limit", name, {"rate": drive.rate})] if drive.rate > 0.0 else []
+        effects += known_effects(name, ("input_delay", "delay", drive.delay), ("command_rate_limit", "rate", drive.rate))
         if driven:
             found, missing = _loop(model, drive, name, damping)
             effects += found
@@ -255,13 +249,17 @@ def _axis(model: Any, drive: Drive, name: str, servo: bool) -> tuple[AxisDraft, 
     return AxisDraft(name, its, actuation, about, gain, inertia, limits, tuple(effects), assumed, law), notes
 
 
+def _friction(axis: str, damping: float, force: float) -> list[KnownEffect]:
+    return known_effects(axis, ("viscous_friction", "coefficient", damping), ("coulomb_friction", "force", force))
+
+
 def _force_limit(model: Any, drive: Drive) -> float:
     """The smallest limit of the force of a joint, of its actuator and of its control, at the joint [N·m or N]; 0 for none."""
     ends, actuator = list[float](), drive.actuator
     if model.jnt_actfrclimited[drive.joint]:
         ends.append(float(np.abs(model.jnt_actfrcrange[drive.joint]).max()))
     if actuator != NO_ACTUATOR and model.actuator_forcelimited[actuator]:
-        ends.append(float(np.abs(model.actuator_forcerange[actuator]).max()) * abs(_gear(model, actuator)))
+        ends.append(float(np.abs(model.actuator_forcerange[actuator]).max()) * abs(gear_of(model, actuator)))
     if drive.control == "force" and (controls := _controls(model, drive)) is not None:
         ends.append(max(map(abs, controls)))
     return min(ends, default=0.0)
@@ -314,11 +312,7 @@ def _actuators(model: Any, drive: Drive, key: str) -> float:
     """Damping or armature that the actuator adds to its joint: ``value·gear²``."""
     if drive.actuator == NO_ACTUATOR:
         return 0.0
-    return float(getattr(model, f"actuator_{key}")[drive.actuator]) * _gear(model, drive.actuator) ** 2
-
-
-def _gear(model: Any, actuator: int) -> float:
-    return float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
+    return float(getattr(model, f"actuator_{key}")[drive.actuator]) * gear_of(model, drive.actuator) ** 2
 
 
 def _loaded(model: Any, joint: int) -> bool:

@@ -20,7 +20,7 @@ from typing import Any
 
 from sysid.errors import SettingsError
 from sysid.foreign import shown
-from sysid.machine.description import LEAST_INERTIA, Actuation, KnownEffect, ServoLaw
+from sysid.machine.description import LEAST_INERTIA, Actuation, ServoLaw
 from sysid.machine.sources.mjcf_model import actuator_name, joint_name, mujoco_library
 
 _REMEDY = "Remove it from <actuator>, and add --kind servo, hydraulic or force: how the joint is commanded."
@@ -67,7 +67,7 @@ def drive_of(model: Any, actuator: int, source: str) -> Drive:
     """
     mujoco, joint = mujoco_library(), int(model.actuator_trnid[actuator, 0])
     name = actuator_name(model, actuator)
-    gear = float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
+    gear = gear_of(model, actuator)
     where = f"{source}: actuator {shown(name)} of joint {shown(joint_name(model, joint))}"
     if gear == 0.0:
         raise SettingsError(where, "gear 0", "a gear other than zero", _REMEDY)
@@ -106,6 +106,11 @@ def drive_of(model: Any, actuator: int, source: str) -> Drive:
         return Drive(actuator, joint, "force", 1.0 / (k * gear), **shared, bias=b0 * gear)
     found = f"gain {k:g} and bias {b0:g} {b1:g} {b2:g}"
     raise SettingsError(where, found, "b₁ < 0 (position) or b₁ = 0 (speed, force)", _REMEDY)
+
+
+def gear_of(model: Any, actuator: int) -> float:
+    """Force of a joint per force of its actuator."""
+    return float(model.actuator_gear[int(model.actuator_outadr[actuator]), 0])
 
 
 def _full(model: Any, actuator: int) -> float:
@@ -159,13 +164,11 @@ def force_range(model: Any, drive: Drive) -> tuple[float, float]:
     """Lowest and highest force of an actuator at its joint, the limit of the joint included [N·m or N]; infinite for none."""
     low, high = -math.inf, math.inf
     if model.actuator_forcelimited[drive.actuator]:
-        gear = float(model.actuator_gear[int(model.actuator_outadr[drive.actuator]), 0])
+        gear = gear_of(model, drive.actuator)
         low, high = sorted(float(end) * gear for end in model.actuator_forcerange[drive.actuator])
     if model.jnt_actfrclimited[drive.joint]:
-        low, high = (
-            max(low, float(model.jnt_actfrcrange[drive.joint, 0])),
-            min(high, float(model.jnt_actfrcrange[drive.joint, 1])),
-        )
+        ends = [float(end) for end in model.jnt_actfrcrange[drive.joint]]
+        low, high = max(low, ends[0]), min(high, ends[1])
     return low, high
 
 
@@ -181,13 +184,6 @@ def setpoint_lag(model: Any, drive: Drive) -> float:
     if int(model.actuator_dyntype[drive.actuator]) != explicit or drive.filter <= 0.0:
         return drive.filter
     return -step / math.log1p(-step / drive.filter) if drive.filter > step else 0.0
-
-
-def friction_effects(model: Any, drive: Drive, name: str, damping: float) -> list[KnownEffect]:
-    """Viscous friction of ``damping`` [N·m·s/rad or N·s/m], and the dry friction of a joint."""
-    force = float(model.dof_frictionloss[int(model.jnt_dofadr[drive.joint])])
-    found = [KnownEffect("viscous_friction", name, {"coefficient": damping})] if damping > 0.0 else []
-    return [*found, KnownEffect("coulomb_friction", name, {"force": force})] if force > 0.0 else found
 
 
 def _give(model: Any, dof: int) -> tuple[float, float]:

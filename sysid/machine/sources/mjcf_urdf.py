@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from sysid.machine.kinematics import roll_pitch_yaw
+from sysid.machine.kinematics import pose_of, roll_pitch_yaw
 from sysid.machine.sources.mjcf_chain import Chain
 from sysid.machine.sources.mjcf_model import body_name, joint_name, joints_of, mujoco_library, path_to
 from sysid.machine.urdf_tree import Mimic
@@ -165,22 +165,15 @@ def _reference_pose(model: Any, body: int) -> Array:
 
 def _pose(position: Any, quaternion: Any) -> Array:
     """(4, 4) of MuJoCo's position (3,) and quaternion w x y z."""
-    pose = np.eye(4)
-    pose[:3, 3] = position
-    pose[:3, :3] = Rotation.from_quat(np.roll(np.asarray(quaternion, dtype=np.float64), -1)).as_matrix()
-    return pose
+    return pose_of(Rotation.from_quat(np.roll(np.asarray(quaternion, dtype=np.float64), -1)).as_matrix(), position)
 
 
 def _shift(vector: Array) -> Array:
-    pose = np.eye(4)
-    pose[:3, 3] = vector
-    return pose
+    return pose_of(np.eye(3), vector)
 
 
 def _turn(vector: Array) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec(vector).as_matrix()
-    return pose
+    return pose_of(Rotation.from_rotvec(vector).as_matrix(), np.zeros(3))
 
 
 def _origin(pose: Array) -> dict[str, str]:

@@ -24,7 +24,6 @@ from sysid.machine.sources.draft import (
     limit_notes,
     stops,
     summarised,
-    without_stops,
 )
 from sysid.machine.urdf_tree import (
     GROUND,
@@ -213,9 +212,8 @@ def _axis(name: str, joint: Joint, element: Element, actuation: Actuation) -> tu
             effects.append(KnownEffect(effect, name, {parameter: values[key]}))
         elif values[key] > 0.0:
             notes.append((f"{key.rpartition('.')[2]} inside the control loop of", joint.name))
-    limits = stops(*joint.limits, joint.prismatic)
+    limits, assumed = stops(name, *joint.limits, joint.prismatic)
     about = f"{joint.kind} joint of the URDF"
-    assumed = without_stops(name, limits, joint.prismatic)
     return AxisDraft(name, joint.name, actuation, about, gain, None, limits, tuple(effects), assumed), notes
 
 
