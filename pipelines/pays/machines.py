@@ -61,10 +61,7 @@ MEASURED = (
     MeasuredSet("so101", "SO-101, elbow", "sage_so101", "elbow", (10.0, 30.0, 90.0, np.inf), "rad"),
 )
 #: What the drive of the boom of the bench crane hides, besides its dead-band.
-BENCH: dict[str, dict[str, Any]] = {
-    "bench, dead-band and uneven drive": {"uneven": 0.3, "pitch": 0.03},
-    "bench, dead-band": {},
-}
+BENCH: dict[str, dict[str, Any]] = {"bench, dead-band and uneven drive": {"uneven": 0.3, "pitch": 0.03}}
 BENCH_LENGTHS = (15.0, 60.0, 120.0, np.inf)
 
 
