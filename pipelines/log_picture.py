@@ -82,7 +82,8 @@ def _panel(panel: Panel, left: float, top: float) -> str:
     for label, value in (panel.levels or {}).items():
         y = py(value)
         parts.append(f'<line class="level" x1="{begin:.1f}" x2="{end:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text x="{end:.1f}" y="{y + 13:.1f}" text-anchor="end">{label}</text>')
+        below = y + 13 if y + 16 < floor else y - 5  # not over the names of the ticks
+        parts.append(f'<text x="{end:.1f}" y="{below:.1f}" text-anchor="end">{label}</text>')
     for value, name in panel.ticks.items():
         parts.append(f'<text x="{px(value):.1f}" y="{floor + 18:.1f}" text-anchor="middle">{name}</text>')
     for curve in panel.curves:
@@ -91,6 +92,8 @@ def _panel(panel: Panel, left: float, top: float) -> str:
             edge = [*zip(curve.x, low_edge, strict=True), *zip(reversed(curve.x), reversed(high_edge), strict=True)]
             corners = " ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in edge)
             parts.append(f'<polygon points="{corners}" fill="{curve.colour}"/>')
+        if len(curve.x) == 1:  # a line through one point is not drawn
+            parts.append(f'<circle cx="{px(curve.x[0]):.1f}" cy="{py(curve.y[0]):.1f}" r="3" fill="{curve.colour}"/>')
         points = " ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in zip(curve.x, curve.y, strict=True))
         look = ' class="dashed"' if curve.dashed else ""
         parts.append(f'<polyline points="{points}" stroke="{curve.colour}"{look}/>')

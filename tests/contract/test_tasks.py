@@ -24,6 +24,7 @@ ANSWERS = {
     "Export to MuJoCo": "sysid export autolog --to mjcf",
     "Compare two versions": "sysid models diff",
     "Undo a promotion": "sysid models promote autolog@1",
+    "When does a network pay?": "reports/network_pays/README.md",
     "Add an effect": "sysid/effects/catalogue.py",
     "Cite": "please cite",
 }
