@@ -14,9 +14,9 @@ from sysid.display import NOTHING, decimals_for, fixed, percent, quantity, shown
 from sysid.effects import effect_named
 from sysid.effects.units import parameter_unit
 from sysid.figures import ErrorFigure, NetworkError, ParameterFigure, Table
+from sysid.gap.arm.sag import advice_on_sag, sagging_axis
 from sysid.gap.excitation import TRAVEL_UNITS, axis_of
 from sysid.gap.result import Gap, GapResult, NamedEffect, ResidualModelResult, Unnamed
-from sysid.gap.arm.sag import advice_on_sag, sagging_axis
 from sysid.machine import Machine
 from sysid.names import listed
 from sysid.reports.words import effect_place, effect_sentence, effect_title, owner_name, signal_name, tie_text, with_titles
