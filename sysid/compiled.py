@@ -5,7 +5,7 @@ mathematics. Such a function reads and writes its arguments and allocates no arr
 contains it: machine code of every function by itself, which is never called, took a third of the compilation.
 
 Numba reuses a cached function even when a step function that it inlined was edited. The folder of the cache is therefore
-named by a hash of all sources of the compiled chain, and for functions of another package of those beside them. Cached code is
+named by a hash of all sources of the compiled chain, and for functions of another folder of those beside them. Cached code is
 a pickle: this is the only module that imports Numba.
 """
 
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
@@ -70,18 +71,46 @@ def is_compiled() -> bool:
     return any(cache_folder().rglob("*.nbi"))
 
 
+class _Locator(_CacheLocator):
+    """Finds compiled code by the sources that it was compiled from, in whichever working copy or installation they lie."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        own = Path(file).parent
+        chain = own in (_PACKAGE / "effects", _PACKAGE / "plant")
+        self._folder = cache_folder(None if chain else own) / own.name
+        self._lineno, self._py_file = function.__code__.co_firstlineno, file  # Numba's names
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return ""  # the folder is named by all sources
+
+    def get_disambiguator(self) -> str:
+        return str(self._lineno)
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> _Locator | None:
+        return cls(function, file) if os.path.exists(file) else None  # a cell of a notebook: as Numba does
+
+
+class _Kept(CompileResultCacheImpl):
+    _locator_classes: Any = (_Locator, *CompileResultCacheImpl._locator_classes)
+
+
+class _Cache(FunctionCache):
+    _impl_class = _Kept
+
+
 def _cached(**options: Any) -> Callable[[Any], Any]:
-    """``numba.njit`` with the cache of :func:`cache_folder`; the setting of other packages is restored."""
+    """``numba.njit`` with the cache of :func:`cache_folder`."""
 
     def decorate(function: Any) -> Any:
-        config: Any = numba.config
-        own = Path(function.__code__.co_filename).parent
-        folder = cache_folder(None if own.is_relative_to(_PACKAGE) else own)
-        before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
-        try:
-            return _njit(cache=True, no_cfunc_wrapper=True, pipeline_class=_Compiler, **options)(function)
-        finally:
-            config.CACHE_DIR = before
+        cache: Any = _Cache
+        result = _njit(no_cfunc_wrapper=True, pipeline_class=_Compiler, **options)(function)
+        if result is not function:  # as it is where NUMBA_DISABLE_JIT is set
+            result._cache = cache(function)
+        return result
 
     return decorate
 

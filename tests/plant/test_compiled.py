@@ -100,12 +100,16 @@ print(whole(np.arange(5.0)), sum(whole.stats.cache_misses.values()))
 """
 
 
-def test_a_later_process_compiles_nothing(tmp_path: Path) -> None:
-    (tmp_path / "program.py").write_text(PROGRAM)
-    run = [sys.executable, str(tmp_path / "program.py")]
+def test_a_later_process_compiles_nothing_also_in_another_working_copy(tmp_path: Path) -> None:
     environment = {"PATH": "", "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    said = [subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout for _ in range(2)]
-    assert said == ["22.0 1\n", "22.0 0\n"]
+    said = []
+    for copy, text in (("one", PROGRAM), ("two", PROGRAM), ("two", PROGRAM.replace("2.0", "3.0"))):
+        program = tmp_path / copy / "same" / "program.py"
+        program.parent.mkdir(parents=True, exist_ok=True)
+        program.write_text(text)
+        run = [sys.executable, str(program)]
+        said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout)
+    assert said == ["22.0 1\n", "22.0 0\n", "33.0 1\n"]
 
 
 def test_machine_code_is_made_of_kernels_alone(monkeypatch: pytest.MonkeyPatch) -> None:
