@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import qmc
+import scipy
 
 from sysid.machine.kinematics import GRAVITY, Kinematics, rotation_by
 from sysid.networks import calibrated_chain as sizes
@@ -331,7 +331,7 @@ class Geometry:
         count = len(self.kinematics.actuated)
         ends = np.array([self.kinematics.limits(name) for name in self.kinematics.actuated]).reshape(-1, 2)
         low, high = np.where(np.isfinite(ends[:, 0]), ends[:, 0], -np.pi), np.where(np.isfinite(ends[:, 1]), ends[:, 1], np.pi)
-        q = low + (high - low) * qmc.Halton(max(count, 1), scramble=False).random(_REACH)[:, :count]
+        q = low + (high - low) * scipy.stats.qmc.Halton(max(count, 1), scramble=False).random(_REACH)[:, :count]
         bare = np.zeros((_REACH, len(self.chain), 3))
         largest = np.abs(self._loads_of(self._frames(q, np.zeros(self._elastic.stop), bare))).max(axis=0, initial=0.0)
         priors = np.zeros(len(self.chain))

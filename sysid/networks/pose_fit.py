@@ -31,8 +31,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
-from scipy.special import log_ndtr
+import scipy
 
 from sysid.machine.kinematics import pose_of
 from sysid.networks.geometry import Geometry
@@ -127,7 +126,7 @@ def fit_poses(geometry: Geometry, poses: PoseSet, free: Mask, start: Array | Non
             weighted = slopes.T * (weights / scale)
             matrix = weighted @ slopes / scale + np.eye(len(priors))
             gradient = weighted @ residual / scale - scaled
-            step = cho_solve(cho_factor(matrix), gradient)
+            step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), gradient)
             loss, share = _loss(residual / scale) + 0.5 * scaled @ scaled, 1.0
             promised = 0.5 * float(step @ gradient)
             while share > 1e-3:
@@ -290,7 +289,7 @@ class SubsetEvidence:
         variance = (directions**2 / (strengths / square + 1.0)).sum(axis=1)
         elastic = self.fit.geometry.elastic
         one_sided = [k for k, parameter in enumerate(sorted(members), len(self._always)) if elastic[parameter]]
-        half = np.log(2.0) + log_ndtr(mean[one_sided] / np.sqrt(variance[one_sided]))
+        half = np.log(2.0) + scipy.special.log_ndtr(mean[one_sided] / np.sqrt(variance[one_sided]))
         return float(value[best] + half.sum())
 
     def selected(self, start: Set = frozenset()) -> Set:

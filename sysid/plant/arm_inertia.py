@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
+import scipy
 
 from sysid.machine.rigid_body import PARAMETERS, RigidBody
 from sysid.plant.layout import AT, AXIS_WIDTH
@@ -163,7 +163,7 @@ def admissible(model: Model, parameters: Array, armatures: Array) -> tuple[Array
 
     unknowns, centre = np.concatenate([*first, np.sqrt(np.maximum(armatures, 1e-6 * biggest))]), start
     for _ in range(PASSES):  # proximal: the parameters of the pass before are those that the next one stays close to
-        unknowns = least_squares(residuals, unknowns, slope, x_scale="jac", max_nfev=100).x
+        unknowns = scipy.optimize.least_squares(residuals, unknowns, slope, x_scale="jac", max_nfev=100).x
         centre = built(unknowns)
     found = centre
     changed = np.einsum("nap,p->na", rows, found - start) / sizes

@@ -27,10 +27,11 @@ def find_starts(p, arrays, i, command, measured, joint, load, share, segments, d
     """
     s, scratch, work = np.empty(size), np.empty(max(window, MEDIAN_SAMPLES) + 1), np.empty((ROWS, UNKNOWNS + 1))
     drive, behind = np.empty(len(command)), np.empty(len(command))
+    no = np.bool_(False)  # a literal has another type and would be compiled separately
     for row in range(len(segments)):
         find_start(
             p, arrays, i, s, starts[row], command, measured, joint, load, share, segments[row, 0], segments[row, 1], dt, window,
-            settle, drive, behind, scratch, work, False, False, net,
+            settle, drive, behind, scratch, work, no, no, net,
         )  # fmt: skip
 
 
@@ -88,7 +89,7 @@ def joint_axis(p, arrays, i, cylinder, measured, load, window, dt, out, net):
     low, step = arrays.axes[i, TABLE_LOW], arrays.axes[i, TABLE_STEP]
     s, m = np.full(STATE.input_delay, np.nan), np.int64(0)
     scratch = np.empty(window)
-    count = 0
+    count = np.int64(0)
     for k in range(len(cylinder)):
         if count == window:
             break

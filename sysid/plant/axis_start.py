@@ -80,7 +80,7 @@ def _start_joint(p, arrays, i, s, start, command, joint, load, share, first, nea
     b = i * AXIS_WIDTH
     _copy_state(s, start)
     run(p, arrays, i, s, command, load, share, first, near, dt, out, behind, net)
-    count = 0
+    count = np.int64(0)  # a literal 0 has another type and would be compiled separately
     for k in range(first, near):
         behind[k] = chain.look_up(out[k], arrays.tables, i, arrays.axes[i, TABLE_LOW], arrays.axes[i, TABLE_STEP])
         if not np.isnan(joint[k]) and not np.isnan(behind[k]):

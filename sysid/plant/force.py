@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
-from scipy.ndimage import shift
+import scipy
 
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
@@ -115,7 +114,7 @@ class ForceInputs:
     def compared(self, columns: Array) -> Array:
         """Columns (n, k) as they enter the comparison of the force, (m, k): zero where the axis ``rests``, low-passed."""
         moving = np.where(self.rests[:, None], 0.0, columns)
-        return np.asarray(signal.sosfiltfilt(self.low_pass, moving, axis=0)[self.rows])
+        return np.asarray(scipy.signal.sosfiltfilt(self.low_pass, moving, axis=0)[self.rows])
 
     def model_force(self, model: Model, thetas: Array, axis: str, everywhere: bool = False) -> Array:
         """Force that the model needs for the measured motion, (lanes, m); ``everywhere`` also where the axis ``rests``."""
@@ -126,7 +125,7 @@ class ForceInputs:
             full = model.inverse(theta, axis, *motion, 1.0 / self.rate_hz, links.carried) + links.commanded
             if not everywhere:
                 full[self.rests] = self.raw[self.rests]
-            out[lane] = signal.sosfiltfilt(self.low_pass, full)[self.rows]
+            out[lane] = scipy.signal.sosfiltfilt(self.low_pass, full)[self.rows]
         return out
 
 
@@ -147,10 +146,10 @@ def force_inputs(
     if motion is None:
         raise ExcitationError(where, "force and motion are not measured together", f"{LEAST_SAMPLES} samples")
     rate = motion.rate_hz
-    low_pass = signal.butter(settings.order, min(settings.force_hz, HIGHEST * rate), fs=rate, output="sos")
+    low_pass = scipy.signal.butter(settings.order, min(settings.force_hz, HIGHEST * rate), fs=rate, output="sos")
     force = delayed(motion.force, settings.delay)
     position, speed, acceleration = smooth_motion(motion.position, rate, settings.position_hz, settings.order)
-    filtered = signal.sosfiltfilt(low_pass, force)
+    filtered = scipy.signal.sosfiltfilt(low_pass, force)
     still = settings.still * float(np.percentile(np.abs(speed), 95))
     uncertain = max(still, NOISE_WIDTHS * _speed_noise(motion, position, settings))
     rests = np.abs(speed) < uncertain + np.abs(acceleration) * 0.5 / settings.position_hz
@@ -164,7 +163,7 @@ def delayed(force: Array, samples: float) -> Array:
 
     A second difference contains (1, 10, 1)/12 of the accelerations of three samples, to fourth order (Numerov).
     """
-    shifted = shift(force, samples, order=3, mode="nearest") if samples else force
+    shifted = scipy.ndimage.shift(force, samples, order=3, mode="nearest") if samples else force
     before, after = np.concatenate([shifted[:1], shifted[:-1]]), np.concatenate([shifted[1:], shifted[-1:]])
     return np.asarray((before + 10.0 * shifted + after) / 12.0)
 

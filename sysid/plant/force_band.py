@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
+import scipy
 
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis
@@ -76,7 +76,7 @@ def band(motions: Sequence[Motion]) -> float:
 
 def motion_of(motion: Motion) -> tuple[Array, Array]:
     """Position and speed without the highest frequencies, which are noise, (n,) each."""
-    position = signal.sosfiltfilt(_low_pass(motion.rate_hz), motion.position)
+    position = scipy.signal.sosfiltfilt(_low_pass(motion.rate_hz), motion.position)
     return position, np.gradient(position, 1.0 / motion.rate_hz)
 
 
@@ -86,12 +86,12 @@ def acceleration_noise(motions: Sequence[Motion], length: int) -> Array:
     From the highest frequencies of the measured positions, which contain noise alone.
     """
     frequency, rate = np.fft.rfftfreq(length), motions[0].rate_hz
-    gain = np.abs(signal.sosfreqz(_low_pass(rate), 2.0 * np.pi * frequency)[1]) ** 2
+    gain = np.abs(scipy.signal.sosfreqz(_low_pass(rate), 2.0 * np.pi * frequency)[1]) ** 2
     return _position_and_noise(motions, length)[1] * np.asarray((2.0 * np.sin(np.pi * frequency)) ** 4 * gain**2 * rate**4)
 
 
 def _low_pass(rate_hz: float) -> Array:
-    return np.asarray(signal.butter(4, 0.4 * rate_hz, fs=rate_hz, output="sos"))
+    return np.asarray(scipy.signal.butter(4, 0.4 * rate_hz, fs=rate_hz, output="sos"))
 
 
 def _position_and_noise(motions: Sequence[Motion], length: int) -> tuple[Array, float]:
@@ -110,8 +110,10 @@ def _inputs(motion: Motion) -> tuple[Array, Array]:
 def fourier_segments(columns: Array, length: int) -> Spectra:
     """Fourier transforms of windowed, half overlapping segments of columns (n, k), (segments, frequencies, k)."""
     starts = range(0, len(columns) - length + 1, max(1, length // 2))
-    window = signal.windows.hann(length)[:, None]
-    parts = [np.fft.rfft(signal.detrend(columns[k : k + length], axis=0, type="constant") * window, axis=0) for k in starts]
+    window = scipy.signal.windows.hann(length)[:, None]
+    parts = [
+        np.fft.rfft(scipy.signal.detrend(columns[k : k + length], axis=0, type="constant") * window, axis=0) for k in starts
+    ]
     return np.array(parts, dtype=np.complex128).reshape(len(parts), length // 2 + 1, columns.shape[1])
 
 

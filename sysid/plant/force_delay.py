@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
+import scipy
 
 from sysid.datasets.recording import Recording
 from sysid.errors import ExcitationError
@@ -109,7 +109,7 @@ def _terms(part: ForceInputs, fastest: float, band: float) -> Array:
     a = part.acceleration
     snap = second_difference(a) * (part.rate_hz / (2.0 * np.pi * band)) ** 2
     columns = np.column_stack([a, np.gradient(a), snap, friction_terms(part.speed / fastest)])
-    return np.asarray(signal.sosfiltfilt(part.low_pass, columns, axis=0))
+    return np.asarray(scipy.signal.sosfiltfilt(part.low_pass, columns, axis=0))
 
 
 def _blocks(part: ForceInputs) -> npt.NDArray[np.int64]:
@@ -123,6 +123,6 @@ def _left(parts: Sequence[ForceInputs]) -> float:
     for part in parts:
         v = part.speed
         terms = np.column_stack([part.acceleration, np.maximum(v, 0.0), np.minimum(v, 0.0), np.sign(v), np.ones_like(v)])
-        terms = signal.sosfiltfilt(part.low_pass, terms, axis=0)[part.rows]
+        terms = scipy.signal.sosfiltfilt(part.low_pass, terms, axis=0)[part.rows]
         total += float(np.sum((part.force - terms @ np.linalg.lstsq(terms, part.force, rcond=None)[0]) ** 2))
     return total

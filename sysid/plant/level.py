@@ -36,7 +36,7 @@ def median(values, count):
 @loop
 def middle_and_spread(measured, simulated, first, last, most, scratch):
     """Median and standard deviation (by quartiles) of the last ``most`` differences measured − simulated; NaN of none."""
-    count, k = 0, last
+    count, k = np.int64(0), last  # a literal 0 has another type and would be compiled separately
     stride = 1 + most // MEDIAN_SAMPLES
     seen = 0
     while k > first and seen < most:

@@ -9,8 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicHermiteSpline
-from scipy.ndimage import uniform_filter1d
+import scipy
 
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
@@ -40,20 +39,20 @@ SLOW_HZ, NOISY = 4.0, 3.0
 _SERIES, _BEGINS = "servo series", "servo begins"
 
 
-def _motion(joint: Array, rate_hz: float) -> CubicHermiteSpline:
+def _motion(joint: Array, rate_hz: float) -> scipy.interpolate.CubicHermiteSpline:
     """Low-passed positions (n,), missing ones interpolated, over time [s]; zero where none are known."""
     known = np.count_nonzero(~np.isnan(joint)) > 1
     return _spline(smooth_motion(joint, rate_hz)[0] if known else np.zeros(max(len(joint), 2)), rate_hz)
 
 
-def _spline(place: Array, rate_hz: float) -> CubicHermiteSpline:
+def _spline(place: Array, rate_hz: float) -> scipy.interpolate.CubicHermiteSpline:
     """Smooth positions (n,) over time [s]."""
     speed = np.gradient(place, 1.0 / rate_hz)
     # A central difference loses (ω·dt)²/6.
-    return CubicHermiteSpline(np.arange(len(place)) / rate_hz, place, speed - second_difference(speed) / 6.0)
+    return scipy.interpolate.CubicHermiteSpline(np.arange(len(place)) / rate_hz, place, speed - second_difference(speed) / 6.0)
 
 
-def _difference(joint: Array, run: Array, rate_hz: float) -> CubicHermiteSpline:
+def _difference(joint: Array, run: Array, rate_hz: float) -> scipy.interpolate.CubicHermiteSpline:
     """Measured less simulated positions (n,) over time [s], slow and fast ones where they exceed the noise.
 
     Noise of the other joints would shake an axis that dry friction holds.
@@ -68,7 +67,7 @@ def _difference(joint: Array, run: Array, rate_hz: float) -> CubicHermiteSpline:
 
 def _beyond(values: Array, noise: float, rate_hz: float) -> Array:
     """Values (n,) less what noise of a variance may be of them, by their mean square within :data:`BEGIN`."""
-    local = uniform_filter1d(values**2, max(3, round(BEGIN * rate_hz)), mode="nearest")
+    local = scipy.ndimage.uniform_filter1d(values**2, max(3, round(BEGIN * rate_hz)), mode="nearest")
     return np.asarray(values * np.clip(1.0 - NOISY * noise / np.maximum(local, 1e-30), 0.0, 1.0))
 
 

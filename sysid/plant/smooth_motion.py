@@ -9,7 +9,7 @@ import functools
 
 import numpy as np
 import numpy.typing as npt
-from scipy import signal
+import scipy
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def smooth_motion(
     """Low-passed position, speed and acceleration of positions (n,), each (n,); missing readings are interpolated."""
     there = np.flatnonzero(~np.isnan(position))
     filled = np.interp(np.arange(len(position)), there, position[there])
-    smooth = signal.sosfiltfilt(
+    smooth = scipy.signal.sosfiltfilt(
         _low_pass(order, min(cut_hz, HIGHEST * rate_hz), rate_hz), filled, padlen=min(3 * (order + 1), len(filled) - 1)
     )
     return smooth, np.gradient(smooth, 1.0 / rate_hz), second_difference(smooth) * rate_hz**2
@@ -34,7 +34,7 @@ def smooth_motion(
 @functools.cache
 def _low_pass(order: int, cut_hz: float, rate_hz: float) -> Array:
     """Second-order sections, (sections, 6)."""
-    return np.asarray(signal.butter(order, cut_hz, fs=rate_hz, output="sos"))
+    return np.asarray(scipy.signal.butter(order, cut_hz, fs=rate_hz, output="sos"))
 
 
 def second_difference(values: Array) -> Array:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numba
 import pytest
+from numba.core.codegen import JITCodeLibrary
 
 from sysid import compiled
 
@@ -45,6 +46,9 @@ def test_it_is_kept_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     changed = compiled.source_digest()
     (tmp_path / "effects" / "b.py").write_text("x = 1\n")
     assert len({before, changed, compiled.source_digest()}) == 3
+    (tmp_path / "compiled.py").write_text("fastmath = True\n")
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
+    assert compiled.source_digest() not in {before, changed}
 
 
 def test_code_of_another_package_is_kept_by_the_sources_beside_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,6 +74,66 @@ def test_a_folder_that_cannot_be_written_warns(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     assert printed_by_child(XDG_CACHE_HOME=str(blocked), TMPDIR=str(tmp_path))[:2] == ["True", "True"]
+
+
+#: A program with a kernel of two parts, which says what it computes and how often it compiled.
+PROGRAM = """
+from sysid.compiled import inlined, kernel, loop
+
+@inlined
+def twice(x):
+    return 2.0 * x
+
+@loop
+def total(values):
+    found = 0.0
+    for value in values:
+        found += twice(value)
+    return found
+
+@kernel
+def whole(values):
+    return total(values) + twice(1.0)
+
+import numpy as np
+print(whole(np.arange(5.0)), sum(whole.stats.cache_misses.values()))
+"""
+
+
+def test_a_later_process_compiles_nothing_also_in_another_working_copy(tmp_path: Path) -> None:
+    environment = {"PATH": "", "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    said = []
+    for copy, text in (("one", PROGRAM), ("two", PROGRAM), ("two", PROGRAM.replace("2.0", "3.0"))):
+        program = tmp_path / copy / "same" / "program.py"
+        program.parent.mkdir(parents=True, exist_ok=True)
+        program.write_text(text)
+        run = [sys.executable, str(program)]
+        said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout)
+    assert said == ["22.0 1\n", "22.0 0\n", "33.0 1\n"]
+
+
+def test_machine_code_is_made_of_kernels_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    library: Any = JITCodeLibrary
+    before = library._finalize_specific
+    monkeypatch.setattr(library, "_finalize_specific", lambda self: (made.append(self.name), before(self)))
+
+    inlined: Any = compiled.inlined
+    loop: Any = compiled.loop
+
+    @inlined
+    def halved(x: Any) -> Any:
+        return 0.5 * x
+
+    @loop
+    def quartered(x: Any) -> Any:
+        return halved(halved(x))
+
+    def whole(x: Any) -> Any:
+        return quartered(x) + halved(x)
+
+    assert compiled.kernel(whole)(3.0) == 2.25
+    assert {"halved", "quartered", "whole"} & {name.rpartition(".")[2] for name in made} == {"whole"}
 
 
 def test_the_setting_of_other_packages_is_restored() -> None:
