@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.datasets.chunked import strided
 from sysid.datasets.recording import Dataset, Recording
 from sysid.display import quantity, shown_unit, with_unit
 from sysid.gap.disagreement import worst_row
@@ -117,8 +118,9 @@ def largest_moment(moments: Sequence[WorstMoment], tables: Mapping[str, pd.DataF
     """Time of the largest error of the first simulation [s]: of the tool, else of the tip, else of the motion of the signal."""
     own = [moment for moment in moments if moment.version == (moments[0].version if moments else "")]
     points = [[m for m in own if m.signal in point_signals(point)] for point in ("tool", "ee")]
+    measured = tables["measured"]
     motion = {
-        m.signal: max(float(tables["measured"][m.signal].iloc[:: stride(len(tables["measured"]))].std()), 1e-9) for m in own
+        m.signal: max(float(pd.Series(strided(measured[m.signal].to_numpy(), stride(len(measured)))).std()), 1e-9) for m in own
     }
     chosen = next((group for group in points if group), own)
     scale = dict.fromkeys(motion, 1.0) if chosen is not own else motion

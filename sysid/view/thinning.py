@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from sysid.scratch import PIECE, leave
+from sysid.scratch import MAPPED_PIECES, PIECE, leave
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
@@ -49,6 +49,6 @@ def shown_rows(count: int, values: Callable[[int, int], Array], whole: tuple[int
             there &= kept
         rows = np.flatnonzero(there)
         parts.append((rows + first, some[rows]))
-        if number % 64 == 63:
+        if number % MAPPED_PIECES == MAPPED_PIECES - 1:
             leave()
     return np.concatenate([np.empty(0, np.intp), *(r for r, _ in parts)]), np.concatenate([np.empty(0), *(v for _, v in parts)])
