@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
+from sysid.datasets.chunked import strided
 from sysid.scratch import MAPPED_PIECES, PIECE, leave
 
 Array = npt.NDArray[np.float64]
@@ -19,6 +21,11 @@ MOST = 2**20
 def stride(count: int) -> int:
     """Every so manieth pose of ``count`` is shown."""
     return max(-(-count // MOST), 1)
+
+
+def posed(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of the poses that are shown, read block by block."""
+    return pd.DataFrame({name: strided(table[name].to_numpy(), stride(len(table))) for name in table})
 
 
 def bucket(count: int) -> int:
