@@ -6,14 +6,13 @@ same, and a sensor shows no steps.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import Mask, Parts, counted, ends, known, measured, quantiles, remembered
+from sysid.datasets.chunked import Mask, Parts, Values, counted, ends, known, measured, quantiles, remembered
 from sysid.datasets.quality import use
 from sysid.datasets.quality.noise import is_still, noise_of
 from sysid.datasets.recording import Recording
@@ -205,36 +204,32 @@ def _moved_both_ways(recordings: Sequence[Recording], machine: Machine, axis: st
     signal = machine.axis(axis).driven
     moving = [r for r in recordings if r.kind == "motion" and counted(len(r), _has(r.values(signal))) >= 2]
     speeds = [smooth_motion(r.values(signal), r.rate_hz)[1] for r in moving]
-    (high,) = quantiles([_sizes(speed) for speed in speeds] or [_sizes(np.zeros(1))], (0.95,))
+    (high,) = quantiles([_part(np.abs(speed)) for speed in speeds] or [_part(np.zeros(1))], (0.95,))
     pairs = list(zip(moving, speeds, strict=True))
     return min(sum(float(np.sum(sign * speed > SLOW * high)) / r.rate_hz for r, speed in pairs) for sign in (1.0, -1.0))
 
 
 def _load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    return _change([(len(load), functools.partial(_known, load)) for load in _loads(recordings, machine, axis)])
+    return _change([_part(load) for load in _loads(recordings, machine, axis)])
 
 
 def _weight_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the magnitude of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    return _change([_sizes(load) for load in _loads(recordings, machine, axis)])
+    return _change([_part(np.abs(load)) for load in _loads(recordings, machine, axis)])
 
 
 def _loads(recordings: Sequence[Recording], machine: Machine, axis: str) -> list[Array]:
     return [gravity_load(machine, r)[:, machine.axis_names.index(axis)] for r in recordings]
 
 
-def _known(values: Array, first: int, last: int) -> Array:
-    return known(values[first:last])
-
-
 def _has(values: Array) -> Callable[[int, int], Mask]:
     return lambda first, last: ~np.isnan(values[first:last])
 
 
-def _sizes(values: Array) -> tuple[int, Callable[[int, int], Array]]:
-    """Magnitudes of a signal (n,), for :func:`~sysid.datasets.chunked.quantiles`."""
-    return len(values), lambda first, last: known(np.abs(values[first:last]))
+def _part(values: Array) -> tuple[int, Callable[[int, int], Array]]:
+    """A signal (n,) for :func:`~sysid.datasets.chunked.quantiles`."""
+    return len(values), lambda first, last: known(values[first:last])
 
 
 def _change(parts: Parts) -> float:
@@ -274,29 +269,28 @@ def _least(one: Count, other: Count) -> Count:
     return lambda recordings, machine, target: min(one(recordings, machine, target), other(recordings, machine, target))
 
 
-def _commanded(given: Callable[[use.Levels], Mask]) -> Condition:
-    """Whether the command, as −1, 0, +1, is such."""
+def _command(recording: Recording, axis: str) -> Array:
+    return recording.values(axis_signal(axis, "command"))
+
+
+def _level(recording: Recording, axis: str) -> use.Levels:
+    """The command as −1, 0, +1."""
+    return use.level_of(_command(recording, axis))
+
+
+def _where(series: Callable[[Recording, str], Values], given: Callable[[Values], Mask]) -> Condition:
+    """Whether a series of an axis is such."""
 
     def condition(recording: Recording, machine: Machine, axis: str) -> Callable[[int, int], Mask]:
-        level = use.level_of(recording.values(axis_signal(axis, "command")))
-        return lambda first, last: given(level[first:last])
-
-    return condition
-
-
-def _small(sign: float) -> Condition:
-    """Whether the command on one side is between 2 % and 40 % of full."""
-
-    def condition(recording: Recording, machine: Machine, axis: str) -> Callable[[int, int], Mask]:
-        command, (low, high) = recording.values(axis_signal(axis, "command")), use.SMALL
-        return lambda first, last: (sign * command[first:last] > low) & (sign * command[first:last] < high)
+        values = series(recording, axis)
+        return lambda first, last: given(values[first:last])
 
     return condition
 
 
 def _any_moves(recording: Recording, machine: Machine, target: str) -> Callable[[int, int], Mask]:
     """Whether any axis is commanded."""
-    levels = [use.level_of(recording.values(axis_signal(axis, "command"))) for axis in machine.axis_names]
+    levels = [_level(recording, axis) for axis in machine.axis_names]
     return lambda first, last: np.asarray(np.any([level[first:last] != 0 for level in levels], axis=0))
 
 
@@ -308,7 +302,7 @@ def _measured_moves(recording: Recording, machine: Machine, signal: str) -> Call
 
 def _two_at_large_commands(recording: Recording, machine: Machine, target: str) -> Callable[[int, int], Mask]:
     """Whether at least two axes are commanded beyond a third of their largest command."""
-    commands = [recording.values(axis_signal(axis, "command")) for axis in machine.axis_names]
+    commands = [_command(recording, axis) for axis in machine.axis_names]
     least = [0.33 * np.fmax(np.abs(ends(command)).max(), 1e-12) for command in commands]
 
     def rows(first: int, last: int) -> Mask:
@@ -329,12 +323,13 @@ def _tip_moves(recording: Recording, machine: Machine, target: str) -> Callable[
     return rows
 
 
-_MOTION: Count = _seconds(_commanded(lambda level: level != 0))
-_FORWARD: Count = _seconds(_commanded(lambda level: level > 0))
-_BACKWARD: Count = _seconds(_commanded(lambda level: level < 0))
-_REST: Count = _seconds(_commanded(lambda level: level == 0))
-_SMALL_FORWARD: Count = _seconds(_small(1.0))
-_SMALL_BACKWARD: Count = _seconds(_small(-1.0))
+_MOTION: Count = _seconds(_where(_level, lambda level: level != 0))
+_FORWARD: Count = _seconds(_where(_level, lambda level: level > 0))
+_BACKWARD: Count = _seconds(_where(_level, lambda level: level < 0))
+_REST: Count = _seconds(_where(_level, lambda level: level == 0))
+#: Whether the command on one side is between 2 % and 40 % of full.
+_SMALL_FORWARD: Count = _seconds(_where(_command, lambda u: (u > use.SMALL[0]) & (u < use.SMALL[1])))
+_SMALL_BACKWARD: Count = _seconds(_where(_command, lambda u: (-u > use.SMALL[0]) & (-u < use.SMALL[1])))
 _ANY_MOTION: Count = _seconds(_any_moves)
 _MEASURED_MOTION: Count = _seconds(_measured_moves)
 
