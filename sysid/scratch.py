@@ -34,8 +34,8 @@ SEGMENT = 64 * 2**20
 MAX_FREE_LIST = 512 * 2**20
 #: Values of a block of computation.
 PIECE = 2**16
-#: Blocks after which pages are unmapped: 64 MiB of an array.
-MAPPED_PIECES = 128
+#: Blocks after which pages are unmapped: 16 MiB of an array.
+MAPPED_PIECES = 32
 #: Granularity of sizes in files [bytes], a multiple of the page size.
 _ROUND = 2**16
 #: Errors of file systems that cannot reserve space: arrays stay in memory.
@@ -52,7 +52,7 @@ class ScratchSegment:
     """
 
     def __init__(self, file: int, start: int, length: int) -> None:
-        self.start, self.length, self.used = start, length, 0
+        self.start, self.length, self.used, self.adopted = start, length, 0, False
         self._process = os.getpid()
         self._map = mmap.mmap(file, length, offset=start)
         self.address = int(np.frombuffer(self._map, np.uint8).__array_interface__["data"][0])
@@ -170,16 +170,31 @@ class Scratch:
 
     def place(self, values: Values) -> int | None:
         """Offset of the array in the file [B]; None if it is in memory, or not contiguous."""
+        segment, address = self._segment_of(values), int(values.__array_interface__["data"][0])
+        return None if segment is None else segment.start + address - segment.address
+
+    def _segment_of(self, values: Values) -> ScratchSegment | None:
         address = int(values.__array_interface__["data"][0])
         if values.ndim != 1 or not values.flags.c_contiguous or not len(values):
             return None
-        for segment in self._segments:
-            if segment.address <= address < segment.address + segment.length:
-                return segment.start + address - segment.address
-        return None
+        inside = (s for s in self._segments if s.address <= address < s.address + s.length)
+        return next(inside, None)
+
+    def put(self, values: Values, first: int, some: Values) -> None:
+        """``values[first : first + len(some)] = some``, into the file where it can be: new pages of a mapping take longer."""
+        segment = self._segment_of(values) if some.nbytes >= SMALLEST else None
+        if segment is None or segment.adopted or self._file is None or self._file.closed:
+            values[first : first + len(some)] = some
+            return
+        at = segment.start + int(values[first:].__array_interface__["data"][0]) - segment.address
+        left = np.ascontiguousarray(some, values.dtype).view(np.uint8).data
+        while left:
+            done = os.pwrite(self._file.fileno(), left, at)
+            left, at = left[done:], at + done
 
     def adopt(self, segment: ScratchSegment) -> None:
         """Add a segment of another process's file."""
+        segment.adopted = True
         self._segments.add(segment)
 
     def leave(self) -> None:
@@ -275,11 +290,19 @@ def empty(count: int, kind: npt.DTypeLike = np.float64) -> Values:
     return np.empty(count, kind) if scratch is None else scratch.empty(count, kind)
 
 
+def put(values: Values, first: int, some: Values) -> None:
+    """``values[first : first + len(some)] = some`` of an array of :func:`empty` that is written for the first time."""
+    scratch = _current.get()
+    if scratch is None:
+        values[first : first + len(some)] = some
+    else:
+        scratch.put(values, first, some)
+
+
 def filled(count: int, value: float, kind: npt.DTypeLike = np.float64) -> Values:
     """An array (count,) of one value."""
-    values = empty(count, kind)
-    values.fill(value)
-    return values
+    block = np.full(min(count, PIECE), value, kind)
+    return computed(count, lambda first, last: block[: last - first], kind)
 
 
 def pieces(count: int) -> Iterator[tuple[int, int]]:
@@ -298,7 +321,7 @@ def computed(count: int, piece: Callable[[int, int], Values], kind: npt.DTypeLik
     """
     values = empty(count, kind)
     for first, last in pieces(count):
-        values[first:last] = piece(first, last)
+        put(values, first, piece(first, last))
     return values
 
 
@@ -310,7 +333,7 @@ def chosen(values: Values, mask: npt.NDArray[np.bool_]) -> Values:
     result, done = empty(count, values.dtype), 0
     for first, last in pieces(len(values)):
         some = values[first:last][mask[first:last]]
-        result[done : done + len(some)] = some
+        put(result, done, some)
         done += len(some)
     return result
 

@@ -13,7 +13,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sysid.scratch import chosen, computed, pieces
+from sysid.scratch import MAPPED_PIECES, PIECE, chosen, computed, leave, pieces
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -57,6 +57,16 @@ def copied(values: Values) -> Values:
     return computed(len(values), lambda first, last: values[first:last], values.dtype)
 
 
+def strided(values: Values, stride: int) -> Values:
+    """A copy of ``values[::stride]`` of a signal (n,)."""
+    parts, rows = [values[:0].copy()], max(PIECE // stride, 1) * stride
+    for number, first in enumerate(range(0, len(values), rows)):
+        parts.append(values[first : first + rows : stride].copy())
+        if number % MAPPED_PIECES == MAPPED_PIECES - 1:
+            leave()
+    return np.concatenate(parts)
+
+
 def differences(values: Values, order: int = 1) -> Values:
     """``np.diff(values, order)`` of a signal (n,)."""
     count = max(len(values) - order, 0)
@@ -65,7 +75,7 @@ def differences(values: Values, order: int = 1) -> Values:
 
 def known(values: Array) -> Array:
     """A signal (n,) without its missing values; itself where none is missing."""
-    return chosen(values, ~np.isnan(values)) if missing(values) else values
+    return chosen(values, ~np.isnan(values)) if len(values) <= PIECE or missing(values) else values
 
 
 def finite(values: Array) -> Array:
@@ -83,14 +93,30 @@ def counted(count: int, piece: Callable[[int, int], Mask]) -> int:
     return sum(int(np.count_nonzero(piece(first, last))) for first, last in pieces(count))
 
 
+def measured(values: Array) -> bool:
+    """``not np.isnan(values).all()`` of a signal (n,)."""
+    return any(not np.isnan(values[first:last]).all() for first, last in pieces(len(values)))
+
+
 def missing(values: Array) -> int:
     """Number of missing values of a signal (n,)."""
     return counted(len(values), lambda first, last: np.isnan(values[first:last]))
 
 
+@remembered
+def ends(values: Array) -> tuple[float, float]:
+    """``np.nanmin(values)`` and ``np.nanmax(values)`` of a signal (n,); NaN without a value."""
+    each = [(np.fmin.reduce(values[a:b]), np.fmax.reduce(values[a:b])) for a, b in pieces(len(values))] or [(np.nan, np.nan)]
+    lows, highs = zip(*each, strict=True)
+    return float(np.fmin.reduce(lows)), float(np.fmax.reduce(highs))
+
+
 def median(values: Values) -> float:
-    """Median of (n,), which is reordered in place: pass a copy where the values are needed later."""
-    return float(np.median(values, overwrite_input=True))
+    """``np.median(values)`` of (n,), which is reordered in place: pass a copy where the values are needed later."""
+    places = [(len(values) - 1) // 2, len(values) // 2, len(values) - 1]  # NaN is last
+    values.partition(places)
+    low, high, last = values[places]
+    return float(last if np.isnan(last) else (low + high) / 2 + 0.0)
 
 
 def quantiles(parts: Parts, shares: Sequence[float]) -> list[float]:

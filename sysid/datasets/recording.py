@@ -14,6 +14,7 @@ from sysid.datasets.chunked import Array
 from sysid.datasets.clocks import ClockRecord as ClockRecord
 from sysid.errors import InputError, StoreError, nearest
 from sysid.machine import Machine
+from sysid.scratch import filled
 
 Role = Literal["fit", "select", "held_out"]
 Kind = Literal["motion", "poses"]
@@ -74,7 +75,7 @@ def _missing(count: int) -> Array:
     """An array (count,) of NaN, read-only: a part of the longest one, which all recordings share."""
     global _longest_missing
     if len(_longest_missing) < count:
-        _longest_missing = np.full(count, np.nan)
+        _longest_missing = filled(count, np.nan)
         _longest_missing.setflags(write=False)
     return _longest_missing[:count]
 

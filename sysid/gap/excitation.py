@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import known, missing, quantiles, remembered
+from sysid.datasets.chunked import Mask, Parts, Values, counted, ends, known, measured, quantiles, remembered
 from sysid.datasets.quality import use
 from sysid.datasets.quality.noise import is_still, noise_of
 from sysid.datasets.recording import Recording
@@ -26,11 +26,10 @@ from sysid.plant.smooth_motion import smooth_motion
 from sysid.signals import axis_signal, point_signals, split_signal
 
 Array = npt.NDArray[np.float64]
-Rows = npt.NDArray[np.bool_]
 #: (recordings, machine, target) → count.
 Count = Callable[[Sequence[Recording], Machine, str], float]
-#: (recording, machine, target) → rows that count.
-Condition = Callable[[Recording, Machine, str], Rows]
+#: (recording, machine, target) → (first, last + 1) → which of these rows count.
+Condition = Callable[[Recording, Machine, str], Callable[[int, int], Mask]]
 
 #: An axis moved if it covered this share of its limits [%] and this multiple of its sensor noise (standard deviation); in a
 #: recording of motion this share of the outermost readings on either side does not count.
@@ -97,7 +96,7 @@ def axis_of(target: str, machine: Machine) -> str | None:
 
 def measured_signals(recordings: Sequence[Recording]) -> frozenset[str]:
     """Signals with a value in any of the recordings."""
-    return frozenset(s for r in recordings for s in r.signals if not np.isnan(r.values(s)).all())
+    return frozenset(s for r in recordings for s in r.signals if measured(r.values(s)))
 
 
 @dataclass(frozen=True)
@@ -127,19 +126,19 @@ def _travel(recordings: Sequence[Recording], machine: Machine, axis: str) -> _Tr
     """Travel of the joint, else of the driven signal; None where neither is measured."""
     about = machine.axis(axis)
     for signal in dict.fromkeys((axis_signal(axis, "joint"), about.driven)):
-        known = [(r, r.values(signal)) for r in recordings if missing(r.values(signal)) < len(r)]
-        if not known:
+        there = [(r, r.values(signal)) for r in recordings if measured(r.values(signal))]
+        if not there:
             continue
-        ends = [_ends(values, OUTERMOST if r.kind == "motion" else 0.0) for r, values in known]
-        span = float(max(high for _, high in ends) - min(low for low, _ in ends))
+        outermost = [_ends(values, OUTERMOST if r.kind == "motion" else 0.0) for r, values in there]
+        span = float(max(high for _, high in outermost) - min(low for low, _ in outermost))
         limits = about.range if signal == about.driven else about.limits
         reach = float(limits[1] - limits[0]) if limits is not None and np.isfinite(limits).all() else 0.0
-        span = 0.0 if is_still(np.array([v for pair in ends for v in pair])) else span
+        span = 0.0 if is_still(np.array(outermost).ravel()) else span
         noise = machine.noise.get(signal, 0.0)
         if noise == 0.0 and (reach == 0.0 or 100.0 * span < CERTAIN_MOTION * OF_LIMITS * reach):
-            levels = [noise_of(r.values(signal), r.rate_hz) for r, _ in known if r.kind == "motion"]
-            known_levels = [level for level in levels if np.isfinite(level)]
-            noise = float(np.median(known_levels)) if known_levels else 0.0
+            levels = [noise_of(values, r.rate_hz) for r, values in there if r.kind == "motion"]
+            finite = [level for level in levels if np.isfinite(level)]
+            noise = float(np.median(finite)) if finite else 0.0
         return _Travel(span, reach, noise)
     return None
 
@@ -189,7 +188,7 @@ def _reversals(recordings: Sequence[Recording], machine: Machine, axis: str) -> 
     for recording in recordings:
         for signal in (axis_signal(axis, "joint"), machine.axis(axis).driven):
             values = recording.values(signal)
-            if missing(values) < len(values):
+            if measured(values):
                 total += use.reversals(values, recording.rate_hz if recording.kind == "motion" else None)
                 break
     return total
@@ -203,35 +202,41 @@ def _command_changes(recordings: Sequence[Recording], machine: Machine, axis: st
 def _moved_both_ways(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Seconds of motion in the direction with less of it: under a weight, a force keeps its sign where the motion turns."""
     signal = machine.axis(axis).driven
-    moving = [r for r in recordings if r.kind == "motion" and np.count_nonzero(~np.isnan(r.values(signal))) >= 2]
+    moving = [r for r in recordings if r.kind == "motion" and counted(len(r), _has(r.values(signal))) >= 2]
     speeds = [smooth_motion(r.values(signal), r.rate_hz)[1] for r in moving]
-    least = SLOW * float(np.percentile(np.abs(np.concatenate(speeds or [np.zeros(1)])), 95))
+    (high,) = quantiles([_part(np.abs(speed)) for speed in speeds] or [_part(np.zeros(1))], (0.95,))
     pairs = list(zip(moving, speeds, strict=True))
-    return min(sum(float(np.sum(sign * speed > least)) / r.rate_hz for r, speed in pairs) for sign in (1.0, -1.0))
+    return min(sum(float(np.sum(sign * speed > SLOW * high)) / r.rate_hz for r, speed in pairs) for sign in (1.0, -1.0))
 
 
 def _load_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    return _change(_loads(recordings, machine, axis))
+    return _change([_part(load) for load in _loads(recordings, machine, axis)])
 
 
 def _weight_change(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
     """Change of the magnitude of the gravity load of the axis, 5th to 95th percentile, in percent of its largest."""
-    return _change(np.abs(_loads(recordings, machine, axis)))
+    return _change([_part(np.abs(load)) for load in _loads(recordings, machine, axis)])
 
 
-def _loads(recordings: Sequence[Recording], machine: Machine, axis: str) -> Array:
-    return np.concatenate([gravity_load(machine, r)[:, machine.axis_names.index(axis)] for r in recordings])
+def _loads(recordings: Sequence[Recording], machine: Machine, axis: str) -> list[Array]:
+    return [gravity_load(machine, r)[:, machine.axis_names.index(axis)] for r in recordings]
 
 
-def _change(values: Array) -> float:
-    """5th to 95th percentile of measured values, in percent of the largest magnitude; zero where all are zero."""
-    values = values[~np.isnan(values)]
-    largest = float(np.max(np.abs(values), initial=0.0))
-    if largest == 0.0:
-        return 0.0
-    low, high = np.percentile(values, (5.0, 95.0))
-    return 100.0 * float(high - low) / largest
+def _has(values: Array) -> Callable[[int, int], Mask]:
+    return lambda first, last: ~np.isnan(values[first:last])
+
+
+def _part(values: Array) -> tuple[int, Callable[[int, int], Array]]:
+    """A signal (n,) for :func:`~sysid.datasets.chunked.quantiles`."""
+    return len(values), lambda first, last: known(values[first:last])
+
+
+def _change(parts: Parts) -> float:
+    """5th to 95th percentile of values, in percent of the largest magnitude; zero where all are zero."""
+    lowest, low, high, highest = quantiles(parts, (0.0, 0.05, 0.95, 1.0))
+    largest = max(highest, -lowest)
+    return 100.0 * (high - low) / largest if largest > 0.0 else 0.0
 
 
 def _joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str) -> float:
@@ -239,17 +244,19 @@ def _joint_coverage(recordings: Sequence[Recording], machine: Machine, axis: str
     axes = machine.axis_names if axis in ("base", "ee") else (axis,)
     shares = []
     for name in axes:
-        values = np.concatenate([r.values(axis_signal(name, "joint")) for r in recordings])
-        values = values[~np.isnan(values)]
+        visited = [ends(values) for values in (r.values(axis_signal(name, "joint")) for r in recordings) if measured(values)]
         limits = machine.axis(name).limits
         span = limits[1] - limits[0] if limits is not None and np.isfinite(limits).all() else 1.0
-        shares.append(100.0 * float(np.ptp(values)) / span if len(values) else 0.0)
+        travel = max(high for _, high in visited) - min(low for low, _ in visited) if visited else 0.0
+        shares.append(100.0 * travel / span)
     return min(shares)
 
 
 def _seconds(condition: Condition) -> Count:
     """Duration of the rows that meet a condition, over all recordings [s]."""
-    return lambda recordings, machine, target: sum(float(np.sum(condition(r, machine, target))) / r.rate_hz for r in recordings)
+    return lambda recordings, machine, target: sum(
+        counted(len(r), condition(r, machine, target)) / r.rate_hz for r in recordings
+    )
 
 
 def _longest(count: Count) -> Count:
@@ -262,45 +269,69 @@ def _least(one: Count, other: Count) -> Count:
     return lambda recordings, machine, target: min(one(recordings, machine, target), other(recordings, machine, target))
 
 
-def _level(recording: Recording, axis: str) -> npt.NDArray[np.int8]:
+def _command(recording: Recording, axis: str) -> Array:
+    return recording.values(axis_signal(axis, "command"))
+
+
+def _level(recording: Recording, axis: str) -> use.Levels:
     """The command as −1, 0, +1."""
-    return use.level_of(recording.values(axis_signal(axis, "command")))
+    return use.level_of(_command(recording, axis))
 
 
-def _is_small(recording: Recording, axis: str, sign: float) -> Rows:
-    """Whether the command on one side is between 2 % and 40 % of full."""
-    low, high = use.SMALL
-    u = sign * recording.values(axis_signal(axis, "command"))
-    return (u > low) & (u < high)
+def _where(series: Callable[[Recording, str], Values], given: Callable[[Values], Mask]) -> Condition:
+    """Whether a series of an axis is such."""
+
+    def condition(recording: Recording, machine: Machine, axis: str) -> Callable[[int, int], Mask]:
+        values = series(recording, axis)
+        return lambda first, last: given(values[first:last])
+
+    return condition
 
 
-def _any_moves(recording: Recording, machine: Machine, target: str) -> Rows:
+def _any_moves(recording: Recording, machine: Machine, target: str) -> Callable[[int, int], Mask]:
     """Whether any axis is commanded."""
-    return np.asarray(np.any([_level(recording, axis) != 0 for axis in machine.axis_names], axis=0))
+    levels = [_level(recording, axis) for axis in machine.axis_names]
+    return lambda first, last: np.asarray(np.any([level[first:last] != 0 for level in levels], axis=0))
 
 
-def _two_at_large_commands(recording: Recording, machine: Machine, target: str) -> Rows:
+def _measured_moves(recording: Recording, machine: Machine, signal: str) -> Callable[[int, int], Mask]:
+    """Whether any axis is commanded while the signal is measured."""
+    there, moves = _has(recording.values(signal)), _any_moves(recording, machine, signal)
+    return lambda first, last: there(first, last) & moves(first, last)
+
+
+def _two_at_large_commands(recording: Recording, machine: Machine, target: str) -> Callable[[int, int], Mask]:
     """Whether at least two axes are commanded beyond a third of their largest command."""
-    levels = [np.abs(np.nan_to_num(recording.values(axis_signal(axis, "command")))) for axis in machine.axis_names]
-    high = [level > 0.33 * max(float(np.max(level, initial=0.0)), 1e-12) for level in levels]
-    return np.asarray(np.sum(high, axis=0) >= 2)
+    commands = [_command(recording, axis) for axis in machine.axis_names]
+    least = [0.33 * np.fmax(np.abs(ends(command)).max(), 1e-12) for command in commands]
+
+    def rows(first: int, last: int) -> Mask:
+        return np.asarray(sum(np.abs(u[first:last]) > low for u, low in zip(commands, least, strict=True)) >= 2)
+
+    return rows
 
 
-def _tip_moves(recording: Recording, machine: Machine, target: str) -> Rows:
+def _tip_moves(recording: Recording, machine: Machine, target: str) -> Callable[[int, int], Mask]:
     """Whether the boom tip moves by more than 0.02 m/s over 0.2 s."""
-    ee = np.column_stack([recording.values(s) for s in point_signals("ee")])
-    stride = max(1, round(0.2 * recording.rate_hz))
-    return np.asarray(np.linalg.norm(ee[stride:] - ee[:-stride], axis=1) / 0.2 > 0.02)
+    ee, stride = [recording.values(s) for s in point_signals("ee")], max(1, round(0.2 * recording.rate_hz))
+
+    def rows(first: int, last: int) -> Mask:
+        last = max(min(last, len(recording) - stride), first)
+        steps = np.column_stack([values[first + stride : last + stride] - values[first:last] for values in ee])
+        return np.asarray(np.linalg.norm(steps, axis=1) / 0.2 > 0.02)
+
+    return rows
 
 
-_MOTION: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) != 0)
-_FORWARD: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) > 0)
-_BACKWARD: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) < 0)
-_REST: Count = _seconds(lambda recording, machine, axis: _level(recording, axis) == 0)
-_SMALL_FORWARD: Count = _seconds(lambda recording, machine, axis: _is_small(recording, axis, 1.0))
-_SMALL_BACKWARD: Count = _seconds(lambda recording, machine, axis: _is_small(recording, axis, -1.0))
+_MOTION: Count = _seconds(_where(_level, lambda level: level != 0))
+_FORWARD: Count = _seconds(_where(_level, lambda level: level > 0))
+_BACKWARD: Count = _seconds(_where(_level, lambda level: level < 0))
+_REST: Count = _seconds(_where(_level, lambda level: level == 0))
+#: Whether the command on one side is between 2 % and 40 % of full.
+_SMALL_FORWARD: Count = _seconds(_where(_command, lambda u: (u > use.SMALL[0]) & (u < use.SMALL[1])))
+_SMALL_BACKWARD: Count = _seconds(_where(_command, lambda u: (-u > use.SMALL[0]) & (-u < use.SMALL[1])))
 _ANY_MOTION: Count = _seconds(_any_moves)
-_MEASURED_MOTION: Count = _seconds(lambda r, machine, signal: ~np.isnan(r.values(signal)) & _any_moves(r, machine, signal))
+_MEASURED_MOTION: Count = _seconds(_measured_moves)
 
 #: Counts that an effect may need (:class:`sysid.effects.Need`): function and unit.
 COUNTS: dict[str, tuple[Count, str]] = {

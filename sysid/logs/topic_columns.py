@@ -62,9 +62,10 @@ class GrowingArray:
             self._widen(values.dtype)
         if isinstance(rows, slice):
             self._reach(rows.stop, rows.start)
+            scratch.put(self._room, rows.start, values)
         else:
             self._reach(int(rows[-1]) + 1)
-        self._room[rows] = values
+            self._room[rows] = values
         self.found += len(values)
 
     def extend(self, values: Values) -> None:
@@ -80,7 +81,8 @@ class GrowingArray:
         """Extend to ``end`` rows, filled up to ``filled``; the caller writes the rest."""
         if end > len(self._room):
             room = scratch.empty(max(_FIRST, 2 * len(self._room), end, self.expected), self.kind)
-            room[: self._end] = self._room[: self._end]
+            for first, last in scratch.pieces(self._end):
+                scratch.put(room, first, self._room[first:last])
             self._room = room
         if end > self._end:
             self._room[self._end : end if filled is None else filled] = self.fill

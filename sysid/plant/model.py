@@ -27,6 +27,7 @@ from sysid.plant.rate import rate_of
 from sysid.plant.residual import Residual, ResidualArrays, StageResidual, check_step, new_memory, residual_arrays
 from sysid.plant.servo_series import servo_series
 from sysid.plant.stretches import Segments, held_for, split
+from sysid.scratch import filled
 from sysid.signals import axis_signal, point_signals
 
 Array = npt.NDArray[np.float64]
@@ -298,7 +299,7 @@ class Model:
         place = self.arrays.machine + AT.pump_flow_limit
         neutral = neutral_vector(self.axes)[place]
         if (thetas[:, place] >= neutral).all():
-            return np.broadcast_to(np.ones(len(recording)), (len(thetas), len(recording)))
+            return np.broadcast_to(filled(len(recording), 1.0), (len(thetas), len(recording)))
         dt = 1.0 / recording.rate_hz
         limited = np.flatnonzero(thetas[:, place] < neutral)
         # The demand depends on the velocity axes only: lanes that are equal in these share it.

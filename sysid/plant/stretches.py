@@ -7,8 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import copied
+from sysid.datasets.chunked import stretches as bounds
 from sysid.datasets.recording import Recording
 from sysid.machine import Machine
+from sysid.scratch import empty, pieces, put
 from sysid.signals import axis_signal
 
 Array = npt.NDArray[np.float64]
@@ -26,7 +29,7 @@ def held_for(machine: Machine, recording: Recording, axis: str) -> tuple[Array, 
     filled, stretches = held(recording.values(axis_signal(axis, "command")), recording.rate_hz)
     shift = machine.command_shift(axis)
     if shift:
-        moved = filled.copy()
+        moved = copied(filled)
         for first, last in stretches:
             moved[first:last] = filled[np.clip(np.arange(first, last) - shift, first, last - 1)]
         filled = moved
@@ -35,18 +38,19 @@ def held_for(machine: Machine, recording: Recording, axis: str) -> tuple[Array, 
 
 def held(command: Array, rate_hz: float) -> tuple[Array, Segments]:
     """The command with short gaps held, and the stretches (first, last+1) between longer ones."""
-    there = ~np.isnan(command)
-    if not there.any():
-        return np.zeros(len(command)), np.empty((0, 2), dtype=np.int64)
-    if there.all():
-        return command.copy(), np.array([[0, len(command)]], dtype=np.int64)
-    index = np.where(there, np.arange(len(command)), -1)
-    last = np.maximum.accumulate(index)
-    age = np.arange(len(command)) - last
-    usable = (last >= 0) & (age <= COMMAND_GAP * rate_hz)
-    filled = np.where(usable, command[np.maximum(last, 0)], 0.0)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], usable, [False])).astype(np.int8)))
-    return filled, edges.reshape(-1, 2).astype(np.int64)
+    filled, usable = empty(len(command)), empty(len(command), np.bool_)
+    last = -1  # row of the latest command
+    for begin, end in pieces(len(command)):
+        if not np.isnan(command[begin:end]).any():
+            usable[begin:end], last = True, end - 1
+            put(filled, begin, command[begin:end])
+            continue
+        rows = np.arange(begin, end)
+        latest = np.maximum.accumulate(np.where(np.isnan(command[begin:end]), last, rows))
+        last = int(latest[-1])
+        usable[begin:end] = known = (latest >= 0) & (rows - latest <= COMMAND_GAP * rate_hz)
+        put(filled, begin, np.where(known, command[np.maximum(latest, 0)], 0.0))
+    return filled, np.column_stack(bounds(usable)).astype(np.int64)
 
 
 def common_stretches(stretches: Sequence[Segments], count: int) -> Segments:

@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from sysid.datasets.chunked import measured
 from sysid.datasets.recording import Dataset, Recording
 from sysid.display import shown_unit, with_unit
 from sysid.gap.result import Map
 from sysid.machine import Machine
 from sysid.pictures import ticks
 from sysid.signals import axis_signal, point_signals, split_signal
-from sysid.view.thinning import stride
+from sysid.view.thinning import posed
 
 Array = npt.NDArray[np.float64]
 
@@ -138,7 +139,7 @@ def blueprint(
     """
     import rerun.blueprint as rrb
 
-    signals = [name for name in recording.signals if not name.endswith(".command") and recording.table[name].notna().any()]
+    signals = [name for name in recording.signals if not name.endswith(".command") and measured(recording.values(name))]
     owners = list(dict.fromkeys(split_signal(name)[0] for name in signals))
     tabs = [
         rrb.Vertical(
@@ -248,11 +249,10 @@ def _active(tables: Mapping[str, pd.DataFrame], signals: list[str], owners: list
     simulated = next((table for name, table in tables.items() if name != "measured"), None)
     if simulated is None or not owners:
         return 0
-    measured = tables["measured"]
-    whole = len(simulated) == len(measured)
-    measured, simulated = (table.iloc[:: stride(len(table))] for table in (measured, simulated))
+    whole = len(simulated) == len(tables["measured"])
+    true, simulated = posed(tables["measured"]), posed(simulated)
     errors = {
-        name: float((simulated[name] - measured[name]).abs().mean() / max(measured[name].std(), 1e-9))
+        name: float((simulated[name] - true[name]).abs().mean() / max(true[name].std(), 1e-9))
         for name in signals
         if name in simulated and whole
     }

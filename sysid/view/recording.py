@@ -33,7 +33,7 @@ from sysid.view.drawing import (
     styles_of,
 )
 from sysid.view.layout import AFTER_S, BEFORE_S, ENTITY, MOMENTS, blueprint, log_maps
-from sysid.view.thinning import bucket, shown_rows, stride
+from sysid.view.thinning import bucket, posed, shown_rows
 
 Array = npt.NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def write_rerun(
             rr = sdk()
             rr.log("machine", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, recording=stream)
             for number, (name, table) in enumerate(tables.items()):
-                poses = table.iloc[:: stride(len(table))]
+                poses = posed(table)
                 log_machine(stream, f"machine/{name}", dataset.machine, kinematics, poses, styles[name])
                 log_points(stream, f"machine/{name}", dataset.machine, poses, styles[name], number)
         curves = _Curves(stream, worst)
@@ -117,9 +117,8 @@ def largest_moment(moments: Sequence[WorstMoment], tables: Mapping[str, pd.DataF
     """Time of the largest error of the first simulation [s]: of the tool, else of the tip, else of the motion of the signal."""
     own = [moment for moment in moments if moment.version == (moments[0].version if moments else "")]
     points = [[m for m in own if m.signal in point_signals(point)] for point in ("tool", "ee")]
-    motion = {
-        m.signal: max(float(tables["measured"][m.signal].iloc[:: stride(len(tables["measured"]))].std()), 1e-9) for m in own
-    }
+    measured = posed(tables["measured"])
+    motion = {m.signal: max(float(measured[m.signal].std()), 1e-9) for m in own}
     chosen = next((group for group in points if group), own)
     scale = dict.fromkeys(motion, 1.0) if chosen is not own else motion
     return max(chosen, key=lambda m: abs(m.error) / scale[m.signal]).time if chosen else None

@@ -6,8 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
-from sysid.scratch import PIECE, leave
+from sysid.datasets.chunked import strided
+from sysid.scratch import MAPPED_PIECES, PIECE, leave
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
@@ -19,6 +21,11 @@ MOST = 2**20
 def stride(count: int) -> int:
     """Every so manieth pose of ``count`` is shown."""
     return max(-(-count // MOST), 1)
+
+
+def posed(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of the poses that are shown, read block by block."""
+    return pd.DataFrame({name: strided(table[name].to_numpy(), stride(len(table))) for name in table})
 
 
 def bucket(count: int) -> int:
@@ -49,6 +56,6 @@ def shown_rows(count: int, values: Callable[[int, int], Array], whole: tuple[int
             there &= kept
         rows = np.flatnonzero(there)
         parts.append((rows + first, some[rows]))
-        if number % 64 == 63:
+        if number % MAPPED_PIECES == MAPPED_PIECES - 1:
             leave()
     return np.concatenate([np.empty(0, np.intp), *(r for r, _ in parts)]), np.concatenate([np.empty(0), *(v for _, v in parts)])

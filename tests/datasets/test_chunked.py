@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.signal import butter, cheby2, sosfiltfilt
 
 from sysid.datasets import chunked, resample
 from sysid.datasets.quality.responses import speed
-from sysid.datasets.quality.use import speed_of, turning_points
+from sysid.datasets.quality.use import speed_of, turning_points, turning_rows
 from sysid.scratch import PIECE
 
 Array = npt.NDArray[np.float64]
@@ -37,7 +39,14 @@ def test_figures(signal: Array) -> None:
     assert chunked.known(signal) is signal
     for order in (1, 4, 8):
         np.testing.assert_array_equal(chunked.differences(signal, order), np.diff(signal, order))
-    assert chunked.median(chunked.copied(signal)) == np.median(signal)
+    for values in (signal, signal[1:], holes, np.array([-0.0, 0.0]), np.array([3, 4, 9, 9])):
+        np.testing.assert_array_equal(chunked.median(chunked.copied(values)), np.median(values))
+    assert chunked.ends(holes) == (np.nanmin(holes), np.nanmax(holes))
+    assert np.isnan(chunked.ends(np.full(9, np.nan))).all()
+    for stride in (1, 3, 1000, PIECE + 1):
+        np.testing.assert_array_equal(chunked.strided(signal, stride), signal[::stride])
+    assert chunked.measured(holes)
+    assert not chunked.measured(np.full(9, np.nan))
     assert chunked.median_step(signal) == np.median(np.diff(signal))
     assert chunked.deviation(there) == np.std(there)
     assert chunked.mean_square(there) == np.mean(there**2)
@@ -119,6 +128,14 @@ def test_slopes(signal: Array) -> None:
     near = slice(PIECE - 50, PIECE + 50)
     expected = resample.slopes(times[near], signal[near], 0.03)[1:-1]
     np.testing.assert_array_equal(resample.slopes(times, signal, 0.03)[PIECE - 49 : PIECE + 49], expected)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 4.0))
+def test_as_many_turning_points_as_rows(seed: int, least: float) -> None:
+    rng = np.random.default_rng(seed)
+    steps = rng.standard_normal(rng.integers(0, 700))
+    for values in (steps, np.cumsum(steps), np.round(np.cumsum(steps)), np.cumsum(0.1 * steps)):
+        assert turning_points(values, least) == len(turning_rows(values, least))
 
 
 def test_turning_points(signal: Array) -> None:

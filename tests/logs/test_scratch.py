@@ -82,6 +82,18 @@ def test_arrays_that_left_the_process_are_as_they_were(small: Scratch) -> None:
     np.testing.assert_array_equal(values, np.arange(ROWS) * 0.5)
 
 
+def test_what_is_put_into_the_file_is_in_the_array(small: Scratch) -> None:
+    values = scratch.filled(ROWS, 1.0)
+    assert values[-1] == 1.0
+    scratch.put(values, 5000, np.arange(20_000))
+    expected = np.ones(ROWS)
+    expected[5000:25_000] = np.arange(20_000)
+    np.testing.assert_array_equal(values, expected)
+    scratch.put(values[30_000:], 7, np.zeros(10_000))
+    expected[30_007:40_007] = 0.0
+    np.testing.assert_array_equal(values, expected)
+
+
 def test_a_forked_process_does_not_free_what_is_used_here(small: Scratch) -> None:
     values = scratch.filled(ROWS, 3.0)
     child = os.fork()

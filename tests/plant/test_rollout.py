@@ -37,6 +37,24 @@ def drive(made: Recording, axis: str, *effects: KnownEffect) -> Array:
     return model.drive(model.theta[None], made, axis)[0]
 
 
+def test_a_run_in_blocks_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks that end inside of stretches, with them, and in gaps; both axes of the arm have gaps of their own."""
+    rng = np.random.default_rng(1)
+    commands = {f"{axis}_command": 0.3 * np.repeat(rng.standard_normal(30), 20) for axis in ("slew", "boom")}
+    for values, gaps in zip(commands.values(), ((100, 200, 450), (90, 300)), strict=True):
+        for first in gaps:
+            values[first : first + 37] = np.nan
+    inputs = recording(**commands, slew_joint=np.full(600, 0.2), boom_cylinder=np.full(600, 0.4))
+    model, runs = compile_plant(nominal(machine=arm())), []
+    for piece in (2**16, 100, 63):
+        monkeypatch.setattr("sysid.scratch.PIECE", piece)
+        runs.append(free_run(model, replace(inputs)))
+    assert runs[0]["slew.joint"].isna().any()
+    assert runs[0]["slew.joint"].nunique() > 100
+    for other in runs[1:]:
+        pd.testing.assert_frame_equal(runs[0], other, check_exact=True)
+
+
 # -- start ----------------------------------------------------------------------------------------------------------
 
 

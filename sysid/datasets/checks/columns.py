@@ -13,7 +13,7 @@ import numpy as np
 from sysid.datasets.checks.figures import AxisFigures, CheckContext
 from sysid.datasets.checks.finding import Cause, Evidence, Finding, exchanged_columns, interval, with_unit
 from sysid.datasets.checks.measures import cost_of
-from sysid.datasets.chunked import Array, Mask, copied, known, longest_run, masked, stretches
+from sysid.datasets.chunked import Array, Mask, copied, ends, known, longest_run, masked, measured, stretches
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.responses import Motion, changes, correlation, motion_of, strengths
 from sysid.datasets.recording import Recording
@@ -216,7 +216,7 @@ def check_columns(data: CheckContext) -> Iterator[Finding]:
     """Columns without a value; constant or with nothing but noise, although the axis is commanded."""
     present = [signal for signal in data.machine.signals if any(signal in recording.signals for recording in data.recordings)]
     for signal in present:
-        if all(signal not in r.signals or np.isnan(r.values(signal)).all() for r in data.recordings):
+        if not any(signal in r.signals and measured(r.values(signal)) for r in data.recordings):
             evidence = Evidence(f"{signal} has no value in any recording", "values, or no such signal in the recipe")
             yield Finding((f"{signal}:missing",), "notice", (evidence,))
     for axis in data.machine.axes:
@@ -244,9 +244,10 @@ def _still_sensor(recordings: Sequence[Recording], signal: str, commanded: float
     low, high, noises = np.inf, -np.inf, []
     for recording in recordings:
         values = recording.values(signal)
-        if np.isnan(values).all():
+        if not measured(values):
             continue
-        low, high = min(low, float(np.nanmin(values))), max(high, float(np.nanmax(values)))
+        lowest, highest = ends(values)
+        low, high = min(low, lowest), max(high, highest)
         noises.append(table_noise(values[:NOISE_ROWS], recording.rate_hz))
     if not noises:
         return
@@ -307,10 +308,10 @@ def _stop(motion: Sequence[Recording], axis: Axis, side: int) -> EndStop | None:
     """The stop at one end of the motion; None without one, or at the described end."""
     low, high = axis.range
     width = high - low
-    moving = [r for r in motion if not np.isnan(r.values(axis.driven)).all()]
+    moving = [r for r in motion if measured(r.values(axis.driven))]
     if not moving:
         return None
-    furthest = max(float(np.nanmax(y) if side > 0 else -np.nanmin(y)) for y in (r.values(axis.driven) for r in moving))
+    furthest = max(high if side > 0 else -low for low, high in (ends(r.values(axis.driven)) for r in moving))
     noise = max(table_noise(r.values(axis.driven)[:NOISE_ROWS], r.rate_hz) for r in moving)
     tolerance = max(NOISES * noise, SHARE * width)
     end = high if side > 0 else -low

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.datasets.chunked import Array, known
+from sysid.datasets.chunked import Array, known, strided
 from sysid.datasets.quality.responses import Response, motion_of, response_of
 from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Axis, Machine, TriangleLinkage
@@ -60,7 +60,7 @@ class SignalRange:
 
 def thinned(values: Array, most: int = MAX_SAMPLES) -> Array:
     """At most ``most`` evenly spaced samples."""
-    return values[:: max(1, math.ceil(len(values) / most))]
+    return strided(values, max(1, math.ceil(len(values) / most)))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import Array, known, stretches
+from sysid.datasets.chunked import Array, ends, known, measured, median, stretches
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.quality.use import SLOPE_S, SLOW, VISITED_S, Scale, level_of, speeds
 from sysid.datasets.recording import Recording
@@ -99,9 +99,9 @@ def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, .
                 continue
             lowest, highest = found
             moving = _ends([recording.values(signal) for recording in recordings if recording.kind == "motion"])
-            ends = axis.range if signal == axis.driven else axis.limits
-            if ends is not None and np.isfinite(ends).all() and ends[1] > ends[0]:
-                spans.append(Span(axis.name, signal, float(ends[0]), float(ends[1]), "limits", lowest, highest, moving))
+            given = axis.range if signal == axis.driven else axis.limits
+            if given is not None and np.isfinite(given).all() and given[1] > given[0]:
+                spans.append(Span(axis.name, signal, float(given[0]), float(given[1]), "limits", lowest, highest, moving))
             else:
                 high = highest if highest > lowest else lowest + 1.0
                 spans.append(Span(axis.name, signal, lowest, high, "recorded", lowest, highest, moving))
@@ -111,8 +111,8 @@ def spans_of(recordings: Sequence[Recording], machine: Machine) -> tuple[Span, .
 
 def _ends(parts: Sequence[Array]) -> tuple[float, float] | None:
     """The lowest and the highest value; None without one."""
-    ends = [(float(there.min()), float(there.max())) for there in map(known, parts) if len(there)]
-    return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else None
+    each = [ends(values) for values in parts if measured(values)]
+    return (min(low for low, _ in each), max(high for _, high in each)) if each else None
 
 
 def pair_maps(recordings: Sequence[Recording], spans: Sequence[Span]) -> tuple[PairMap, ...]:
@@ -167,7 +167,7 @@ class Rest:
 
 def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scales: Mapping[str, Scale]) -> list[Rest]:
     """Still phases of a recording of motion. Servos and forces may hold a position, so only the motion of those axes counts."""
-    still, known = np.ones(len(recording), dtype=bool), np.zeros(len(recording), dtype=bool)
+    still, there = np.ones(len(recording), dtype=bool), np.zeros(len(recording), dtype=bool)
     for axis in machine.axes:
         if axis.actuation == "velocity":
             still &= level_of(recording.values(axis_signal(axis.name, "command"))) == 0
@@ -179,15 +179,17 @@ def rests_of(recording: Recording, machine: Machine, spans: Sequence[Span], scal
         for first, last in pieces(len(recording)):
             speed = np.abs(speeds(values, recording.rate_hz, first, last))
             still[first:last] &= ~(speed > limit)
-            known[first:last] |= ~np.isnan(speed)
+            there[first:last] |= ~np.isnan(speed)
     leave()
     time = recording.values("time")
     found = []
-    for first, last in zip(*stretches(still & known), strict=True):
+    for number, (first, last) in enumerate(zip(*stretches(still & there), strict=True)):
+        if number % RESTS == RESTS - 1:
+            leave()
         if last - first < LEAST_S * recording.rate_hz:
             continue
-        parts = {span.axis: recording.values(span.signal)[first:last] for span in spans}
-        posture = {name: float(np.nanmedian(v)) for name, v in parts.items() if not np.isnan(v).all()}
+        parts = {span.axis: known(recording.values(span.signal)[first:last]) for span in spans}
+        posture = {name: median(v.copy()) for name, v in parts.items() if len(v)}
         found.append(Rest(recording.name, float(time[first]), float(time[last - 1]), posture))
     return found
 

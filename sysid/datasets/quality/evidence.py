@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.signal import correlate, correlation_lags
 
-from sysid.datasets.chunked import Array, known
+from sysid.datasets.chunked import Array, finite, known
 from sysid.datasets.quality import coverage, use
 from sysid.datasets.quality.coverage import PairMap, Rest, Span, noise_at_rest, pair_maps, postures, rests_of, spans_of
 from sysid.datasets.quality.noise import noise_of
@@ -81,14 +81,16 @@ class _Commands:
         begin, end = (min(max(row, 0), self.count) for row in (first, last))
         some = np.zeros((last - first, len(self._columns)))
         for k, (values, full) in enumerate(self._columns):
-            some[begin - first : end - first, k] = np.nan_to_num(values[begin:end]) / full - self._offset[k]
+            some[begin - first : end - first, k] = finite(values[begin:end]) / full - self._offset[k]
         return some
 
 
 def repeats_of(recordings: Sequence[Recording], scales: Mapping[str, Scale]) -> tuple[Repeat, ...]:
     """All pairs of recordings of motion with the same commands."""
     moving = [r for r in recordings if r.kind == "motion"]
-    stride = -(-max(map(len, moving), default=1) // MOST_ROWS) or 1
+    if len(moving) < 2:
+        return ()
+    stride = -(-max(map(len, moving)) // MOST_ROWS) or 1
     commands = {r.name: _Commands(r, scales, stride) for r in moving}
     found = []
     for first, second in combinations(moving, 2):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid.datasets.chunked import Array, copied, known
+from sysid.datasets.chunked import Array, copied, known, strided
 from sysid.datasets.quality.noise import noise_of
 from sysid.datasets.quality.use import (
     IDLE,
@@ -227,8 +227,8 @@ def _noise(axis: Axis, recordings: Sequence[Recording], machine: Machine) -> flo
 
 def _samples(recording: Recording, axis: Axis) -> _Samples:
     stride = _stride(recording.rate_hz)
-    position = copied(recording.values(moved_signal(recording, axis, stride))[::stride])
-    command = copied(recording.values(axis_signal(axis.name, "command"))[::stride])
+    position = strided(recording.values(moved_signal(recording, axis, stride)), stride)
+    command = strided(recording.values(axis_signal(axis.name, "command")), stride)
     return _Samples(command, position, speed_of(position, recording.rate_hz / stride))
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.special import gammaincinv
 
-from sysid.datasets.chunked import Array, copied, differences, known, median_of, remembered
-from sysid.scratch import chosen
+from sysid.datasets.chunked import Array, copied, differences, ends, known, median_of, remembered
+from sysid.scratch import chosen, leave
 
 #: Samples of a sensor this far apart are independent [s], for any sensor above 17 Hz.
 LAG_S = 0.06
@@ -21,8 +23,8 @@ ROUNDING, SMALLEST = 1e-9, 1e-3
 DEGREES, QUIET, FALLS = (5, 7), (0.2, 0.5), 3.0
 #: Orders of difference for a motion that no degree follows, and for an upper bound of the noise.
 FINEST, BOUND = 8, 4
-#: Windows that are fitted together.
-_WINDOWS = 2**14
+#: Windows that are fitted together, and fits after which pages are unmapped (:func:`sysid.scratch.leave`).
+_WINDOWS, _FITS = 2**11, 8
 
 
 @remembered
@@ -32,7 +34,8 @@ def noise_of(values: Array, rate_hz: float) -> float:
     :func:`white_noise`; for a quantised sensor at least the uniform error of a step. NaN where the motion is too fast for the
     rate, and for a signal that does not change.
     """
-    if is_still(values) and not np.isnan(values).all() and np.nanmax(values) > np.nanmin(values):
+    low, high = ends(values)
+    if is_still(values) and high > low:
         return float("nan")
     scatter, rounding = white_noise(values, rate_hz), _step(values) / math.sqrt(12.0)
     if math.isnan(scatter):
@@ -42,8 +45,8 @@ def noise_of(values: Array, rate_hz: float) -> float:
 
 def is_still(values: Array) -> bool:
     """Whether a signal (n,) does not vary by more than rounding of floating-point numbers."""
-    there = known(values)
-    return not len(there) or float(np.ptp(there)) <= ROUNDING * max(float(there.max()), -float(there.min()), SMALLEST)
+    low, high = ends(values)
+    return not high - low > ROUNDING * max(high, -low, SMALLEST)
 
 
 def white_noise(values: Array, rate_hz: float) -> float:
@@ -54,33 +57,40 @@ def white_noise(values: Array, rate_hz: float) -> float:
     motion at a low rate the degree increases as long as this removes most of the scatter. Where differences of order 8 follow
     the motion better than all polynomials, the noise is unknown.
     """
-    windows = _windows(values, rate_hz)
-    if not len(windows):
-        return float("nan")
-    scatters = [_scatter(windows, degree) for degree in DEGREES]
-    for scatter, finer in zip(scatters, [*scatters[1:], difference_scatter(values, FINEST)], strict=True):
+    for scatter, finer in itertools.pairwise(_scatters(values, rate_hz)):
         if not scatter > FALLS * finer:
             return scatter
     return float("nan")
 
 
-def _scatter(windows: Array, degree: int) -> float:
-    """Standard deviation of noise by the windows (m, width) of least scatter about polynomials; 0 where none changes."""
-    width = windows.shape[1]
-    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), degree + 1))[0]
-    sums = []
-    for first in range(0, len(windows), _WINDOWS):
+def _scatters(values: Array, rate_hz: float) -> Iterator[float]:
+    """Standard deviation of noise by the windows of least scatter about polynomials of each degree, 0 where none changes; then
+    by the finest differences. Nothing where no window is without gaps.
+    """
+    width = max(round(0.2 * rate_hz), 10)
+    windows = values[: len(values) // width * width].reshape(-1, width)
+    bases = [np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), degree + 1))[0] for degree in DEGREES]
+    whole, sums = 0, [list[Array]() for _ in DEGREES]
+    for number, first in enumerate(range(0, len(windows), _WINDOWS)):
         some = windows[first : first + _WINDOWS]
-        some = some[np.ptp(some, axis=1) > ROUNDING * np.maximum(np.abs(some).max(axis=1), SMALLEST)]
+        low, high = some.min(axis=1), some.max(axis=1)  # NaN with a gap
+        whole += int(np.count_nonzero(~np.isnan(high)))
+        some = some[high - low > ROUNDING * np.maximum(np.maximum(high, -low), SMALLEST)]
         centred = some - some.mean(axis=1, keepdims=True)
-        residual = centred @ basis @ basis.T
-        np.subtract(centred, residual, out=residual)
-        sums.append(np.sum(np.square(residual, out=residual), axis=1))
-    found, freedom = np.concatenate(sums), width - degree - 1
-    if not len(found):
-        return 0.0
-    # Quantiles of the sums of squares of normal errors are those of chi-squared.
-    return float(np.sqrt(np.min(np.quantile(found, QUIET) / (2.0 * gammaincinv(0.5 * freedom, QUIET)))))
+        for basis, own in zip(bases, sums, strict=True):
+            residual = centred @ basis @ basis.T
+            np.subtract(centred, residual, out=residual)
+            own.append(np.sum(np.square(residual, out=residual), axis=1))
+        if number % _FITS == _FITS - 1:
+            leave()
+    if not whole:
+        return
+    for degree, own in zip(DEGREES, sums, strict=True):
+        found, freedom = np.concatenate(own), width - degree - 1
+        # Quantiles of the sums of squares of normal errors are those of chi-squared.
+        shares = np.quantile(found, QUIET) / (2.0 * gammaincinv(0.5 * freedom, QUIET)) if len(found) else 0.0
+        yield float(np.sqrt(np.min(shares)))
+    yield difference_scatter(values, FINEST)
 
 
 def noise_bound(values: Array) -> float:
@@ -102,15 +112,6 @@ def difference_scatter(values: Array, order: int) -> float:
         return known(np.abs(np.diff(values[first : last + order], order)))
 
     return 1.4826 * median_of([(max(len(values) - order, 0), sizes)], least=3) / math.sqrt(math.comb(2 * order, order))
-
-
-def _windows(values: Array, rate_hz: float) -> Array:
-    """Stretches of 0.2 s without gaps, (m, width)."""
-    width = max(round(0.2 * rate_hz), 10)
-    count = len(values) // width
-    windows = values[: count * width].reshape(count, width)
-    whole = ~np.isnan(windows).any(axis=1)
-    return chosen(windows.reshape(-1), np.repeat(whole, width)).reshape(-1, width)
 
 
 @remembered

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import correlate, savgol_filter
 
-from sysid.datasets.chunked import Array
+from sysid.datasets.chunked import Array, strided
 from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Axis, Machine
 from sysid.scratch import computed, empty, pieces
@@ -86,8 +86,7 @@ def motion_of(recordings: Sequence[Recording], axis: Axis, signal: str, time_sca
     for recording in recordings:
         stride = max(1, round(wanted * recording.rate_hz))
         dt = stride / recording.rate_hz
-        command = recording.values(axis_signal(axis.name, "command"))[::stride]
-        place = recording.values(signal)[::stride]
+        command, place = (strided(recording.values(s), stride) for s in (axis_signal(axis.name, "command"), signal))
         speed, acceleration = np.full(len(place), np.nan), np.full(len(place), np.nan)
         if len(place) > 2:
             speed[1:-1] = (place[2:] - place[:-2]) / (2.0 * dt)

@@ -10,22 +10,41 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.chunked import Array, Values, counted, finite, known, quantiles, remembered
+from sysid.datasets.chunked import Array, counted, ends, finite, known, measured, quantiles, remembered
 from sysid.datasets.quality.noise import table_noise
 from sysid.datasets.recording import Recording
 from sysid.machine import Axis, Machine
 from sysid.scratch import computed, pieces
 from sysid.signals import axis_signal
 
-#: Values that are looked at together after a reversal, and at most.
-_FEW, _MOST = 64, 2**16
+#: Values that are looked at together: at least after a reversal (else half as many as before it), and at most; those in a row
+#: of which the lowest and the highest count.
+_FEW, _MOST, _ROW = 64, 2**16, 32
 #: Command of each row as −1, 0, +1, (n,).
 Levels = npt.NDArray[np.int8]
 
 
 def turning_points(values: Array, least: float) -> int:
     """Number of reversals of a signal without gaps (n,) by more than ``least``; 0 if that is not positive."""
-    return len(turning_rows(values, least)) if least > 0.0 else 0
+    return len(turning_rows(_outline(values, least), least)) if least > 0.0 else 0
+
+
+def _outline(values: Array, least: float) -> Array:
+    """A part of a signal (n,) with as many reversals by more than ``least``.
+
+    Of values in a row that differ by at most that, the lowest and the highest: none of them is a reversal against another.
+    """
+    parts = []
+    for first, last in pieces(len(values)):
+        some = values[first:last]
+        rows = some[: len(some) // _ROW * _ROW].reshape(-1, _ROW)
+        every, low, high = np.arange(len(rows)), rows.argmin(axis=1), rows.argmax(axis=1)
+        kept = np.ones(len(some), dtype=np.bool_)
+        there = kept[: rows.size].reshape(rows.shape)
+        there[rows[every, high] - rows[every, low] <= least] = False
+        there[every, low] = there[every, high] = True
+        parts.append(some[kept])
+    return np.concatenate(parts) if parts else values
 
 
 def turning_rows(values: Array, least: float) -> npt.NDArray[np.intp]:
@@ -49,7 +68,7 @@ def turning_rows(values: Array, least: float) -> npt.NDArray[np.intp]:
         if direction:
             found.append(row)
         direction, low, high = (1, low, float(values[row])) if rises else (-1, float(values[row]), high)
-        row, piece = row + 1, _FEW
+        row, piece = row + 1, max(piece // 2, _FEW)
     return np.array(found, dtype=np.intp)
 
 
@@ -121,8 +140,8 @@ def scales_of(recordings: Sequence[Recording], machine: Machine) -> dict[str, Sc
     """Axis → its scale in these recordings; an axis without commands is omitted."""
     found, recordings = {}, [recording for recording in recordings if recording.kind == "motion"]
     for axis in machine.axes:
-        commands = [known(r.values(axis_signal(axis.name, "command"))) for r in recordings]
-        largest = [max(float(command.max()), -float(command.min())) for command in commands if len(command)]
+        commands = [r.values(axis_signal(axis.name, "command")) for r in recordings]
+        largest = [max(high, -low) for low, high in map(ends, filter(measured, commands))]
         if not largest:
             continue
         full = 1.0 if axis.actuation == "velocity" else max(largest) or 1.0
@@ -139,38 +158,27 @@ def _sizes(values: Array, rate_hz: float) -> tuple[int, Callable[[int, int], Arr
 
 def use_of(recording: Recording, axis: Axis, scale: Scale) -> AxisUse:
     """Use of the axis in one recording of motion."""
-    command = recording.values(axis_signal(axis.name, "command"))
+    command, moved = (recording.values(name) for name in (axis_signal(axis.name, "command"), moved_signal(recording, axis)))
     level = level_of(command)
-    counts = np.zeros(CELLS, dtype=np.intp)
-    for first, last in pieces(len(command)):
-        given = finite(command[first:last][level[first:last] != 0]) / scale.full
-        counts += np.histogram(np.clip(given, -1.0, 1.0), bins=CELLS, range=(-1.0, 1.0))[0]
-    seconds = counts / recording.rate_hz
-    moved = recording.values(moved_signal(recording, axis))
     least = max(SLOW[0] * scale.top_speed, SPEED_NOISE * float(np.sqrt(2.0)) * table_noise(moved, recording.rate_hz) / SLOPE_S)
-
-    def lasting(rows: Callable[[int, int], Values], side: float, above: float = 0.0, below: float = np.inf) -> float:
-        there = counted(len(command), lambda a, b: (side * rows(a, b) > above) & (side * rows(a, b) < below))
-        return there / recording.rate_hz
-
-    def speed(first: int, last: int) -> Array:
-        return speeds(moved, recording.rate_hz, first, last)
-
     small, slow = (SMALL[0] * scale.full, SMALL[1] * scale.full), (least, SLOW[1] * scale.top_speed)
-    idle = counted(len(level), lambda a, b: (level[a:b] == 0.0) & ~np.isnan(command[a:b]))
-
+    cells, rows = np.zeros(CELLS, dtype=np.intp), dict[str, int]()
+    for first, last in pieces(len(command)):
+        u, to, speed = command[first:last], level[first:last], speeds(moved, recording.rate_hz, first, last)
+        cells += np.histogram(np.clip(finite(u[to != 0]) / scale.full, -1.0, 1.0), bins=CELLS, range=(-1.0, 1.0))[0]
+        own = {"idle_s": (to == 0) & ~np.isnan(u), "positive_s": to > 0, "negative_s": to < 0}
+        for name, values, (low, high) in (("small", u, small), ("slow", speed, slow)):
+            own[f"{name}_positive_s"] = (values > low) & (values < high)
+            own[f"{name}_negative_s"] = (values < -low) & (values > -high)
+        for name, mask in own.items():
+            rows[name] = rows.get(name, 0) + int(np.count_nonzero(mask))
+    seconds = {name: rows.get(name, 0) / recording.rate_hz for name in AxisUse.__dataclass_fields__ if name.endswith("_s")}
     return AxisUse(
         full=scale.full,
-        seconds=tuple(map(float, seconds)),
-        idle_s=idle / recording.rate_hz,
-        positive_s=lasting(lambda a, b: level[a:b], 1.0),
-        negative_s=lasting(lambda a, b: level[a:b], -1.0),
-        small_positive_s=lasting(lambda a, b: command[a:b], 1.0, *small),
-        small_negative_s=lasting(lambda a, b: command[a:b], -1.0, *small),
+        seconds=tuple(map(float, cells / recording.rate_hz)),
         command_changes=command_changes(command),
         reversals=reversals(moved, recording.rate_hz),
-        slow_positive_s=lasting(speed, 1.0, *slow),
-        slow_negative_s=lasting(speed, -1.0, *slow),
+        **seconds,
     )
 
 
@@ -198,7 +206,7 @@ def pairs_together(recording: Recording, scales: Mapping[str, Scale]) -> dict[tu
 def moved_signal(recording: Recording, axis: Axis, stride: int = 1) -> str:
     """The joint, or the driven quantity where this recording has no joint in every ``stride``-th sample."""
     joint = axis_signal(axis.name, "joint")
-    return joint if not np.isnan(recording.values(joint)[::stride]).all() else axis.driven
+    return joint if measured(recording.values(joint)[::stride]) else axis.driven
 
 
 @remembered
@@ -244,7 +252,8 @@ def reversals(values: Array, rate_hz: float | None) -> int:
     if not len(there):
         return 0
     noise = 0.0 if rate_hz is None else table_noise(there, rate_hz)
-    return turning_points(there, max(TURN * float(np.ptp(there)), TURN_NOISE * noise))
+    low, high = ends(values)
+    return turning_points(there, max(TURN * (high - low), TURN_NOISE * noise))
 
 
 def speed_of(values: Array, rate_hz: float) -> Array:

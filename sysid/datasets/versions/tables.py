@@ -261,7 +261,7 @@ def read_batches(
 
     with _undamaged(files, part, which, place):
         for file in _opened(files, part, which):
-            table = pq.ParquetFile(file, read_dictionary=["recording"])
+            table = pq.ParquetFile(file, read_dictionary=["recording"], pre_buffer=False)
             wanted = [name for name in table.schema_arrow.names if name in columns]
             yield from table.iter_batches(batch_size=READ_ROWS, columns=wanted, use_threads=False)
 

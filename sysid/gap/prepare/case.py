@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -10,6 +11,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from sysid.datasets.checks.roles import check_needs, is_pose_set
+from sysid.datasets.chunked import median_of
 from sysid.datasets.recording import Dataset, Recording
 from sysid.effects import coulomb_friction
 from sysid.errors import ExcitationError
@@ -279,8 +281,13 @@ def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: S
 def _scales_of(plant: Plant, stage: Stage) -> Scales:
     """Typical force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
     force = _typical_force(stage) if "force" in stage.problem.stages else 1.0
-    loads = np.nan_to_num(np.concatenate([gravity_load(plant.machine, r) for r in stage.split.fit]))
-    typical = np.median(np.abs(loads), axis=0)
+    loads = [gravity_load(plant.machine, r) for r in stage.split.fit]
+
+    def sizes(load: Array, i: int, first: int, last: int) -> Array:
+        return np.abs(np.nan_to_num(load[first:last, i]))
+
+    axes = range(len(plant.machine.axes))
+    typical = np.array([median_of([(len(load), functools.partial(sizes, load, i)) for load in loads]) for i in axes])
     typical[typical < 1e-3 * typical.max()] = 0.0
     return Scales(force, dict(zip(plant.machine.axis_names, map(float, typical), strict=True)), _responses(plant, stage))
 
