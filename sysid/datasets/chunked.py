@@ -67,6 +67,11 @@ def strided(values: Values, stride: int) -> Values:
     return np.concatenate(parts)
 
 
+def earlier(values: Array, delay: int) -> Array:
+    """The rows with another one ``delay`` rows later, the partners of ``values[delay:]``: none where there are too few."""
+    return values[: max(len(values) - delay, 0)]
+
+
 def differences(values: Values, order: int = 1) -> Values:
     """``np.diff(values, order)`` of a signal (n,)."""
     count = max(len(values) - order, 0)

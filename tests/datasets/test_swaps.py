@@ -57,3 +57,9 @@ def test_more_axes_than_are_compared_are_said(rng: np.random.Generator, monkeypa
     notices = [finding for finding in found if finding.keys == ("machine:exchanged",)]
     assert [finding.severity for finding in notices] == ["notice"]
     assert notices[0].lines == ("5 axes do not follow their own command; expected at most 3 to search for exchanged columns",)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 29, 31])
+def test_series_shorter_than_the_longest_delay_have_no_strength_there(rows: int) -> None:
+    values = np.random.default_rng(1).standard_normal((rows, 2))
+    assert np.isfinite(strengths(values, values, 30)).all()

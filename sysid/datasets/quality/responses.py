@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import correlate, savgol_filter
 
-from sysid.datasets.chunked import Array, strided
+from sysid.datasets.chunked import Array, earlier, strided
 from sysid.datasets.recording import Dataset, Recording
 from sysid.machine import Axis, Machine
 from sysid.scratch import computed, empty, pieces
@@ -128,7 +128,7 @@ def strengths(commands: Array, answers: Array, delays: int) -> Array:
     known, there = (_scaled(values[::stride]) for values in (commands, answers))
     best = np.zeros((commands.shape[1], answers.shape[1]))
     for delay in range(max(1, delays // stride) + 1):
-        (u, has_u), (y, has_y) = ((each[: len(each) - delay] for each in known), (each[delay:] for each in there))
+        (u, has_u), (y, has_y) = ((earlier(each, delay) for each in known), (each[delay:] for each in there))
         count = has_u.T @ has_y
         enough = np.maximum(count, 1.0)
         sum_u, sum_y = u.T @ has_y, has_u.T @ y
@@ -152,7 +152,7 @@ def _slope(command: Array, answer: Array, delays: int) -> Response | None:
     """Slope at the delay with the largest correlation."""
     best: Response | None = None
     for delay in range(delays + 1):
-        u, y = command[: len(command) - delay], answer[delay:]
+        u, y = earlier(command, delay), answer[delay:]
         there = ~np.isnan(u) & ~np.isnan(y)
         if np.count_nonzero(there) < MIN_ROWS:
             continue

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from sysid.datasets.chunked import earlier
 from sysid.datasets.recording import Recording
 from sysid.gap.problem import Problem
 from sysid.gap.result import Probe, Unnamed
@@ -211,7 +212,7 @@ def _over_bound(probe: Probe) -> float:
 
 def _pair(target: Array, values: Array, lag: int, ar1: float) -> tuple[Array, Array]:
     """Prewhitened residual and variable ``lag`` entries earlier, where both are known."""
-    e, x = quasi_difference(target[lag:], ar1), quasi_difference(values[: len(values) - lag], ar1)
+    e, x = quasi_difference(target[lag:], ar1), quasi_difference(earlier(values, lag), ar1)
     there = np.isfinite(e) & np.isfinite(x)
     return e[there], x[there]
 

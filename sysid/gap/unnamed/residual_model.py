@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 
+from sysid.datasets.chunked import earlier
 from sysid.datasets.recording import Dataset, Recording
 from sysid.errors import SettingsError
 from sysid.gap.disagreement import run_rmse, stage_rmse
@@ -203,7 +204,7 @@ def _bound(parts: Sequence[RecordingWindow], integrates: bool, interval: float) 
         return BOUND * robust_scale(joined) if len(joined) else 0.0
     lag, shares = max(1, round(SPEED_WINDOW / interval)), []
     for window in parts:
-        moved = interval * np.convolve(window.size, np.ones(lag), mode="valid")[: len(window.residual) - lag]
+        moved = interval * np.convolve(window.size, np.ones(lag), mode="valid")[: len(earlier(window.residual, lag))]
         rest = window.residual[lag:] - window.residual[:-lag]
         moving = np.isfinite(rest) & (np.abs(moved) > MIN_SPEED * np.abs(moved).max(initial=0.0))
         shares.append(rest[moving] / moved[moving])

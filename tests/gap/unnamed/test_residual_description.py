@@ -244,3 +244,16 @@ def test_a_residual_beside_which_nothing_varies_is_random() -> None:
     steady = [replace(part, variables={}) for part in whole if part is not None]
     found = describe(DRIVE, 1.0, "boom.cylinder", steady, MACHINE)
     assert (found.depends_on, found.probes) == (NOTHING, ())
+
+
+@pytest.mark.parametrize("short", [0, 1, 3, 30])
+def test_a_recording_shorter_than_the_longest_lag_says_nothing_about_it(short: int) -> None:
+    rng = np.random.default_rng(5)
+
+    def series(count: int) -> ResidualSeries:
+        parts = {"drive": np.repeat(rng.standard_normal(count), PARTS)}
+        return ResidualSeries("run", rng.standard_normal(count), parts, False, BIN)
+
+    long = series(500)
+    (alone,), (both,) = cross_correlations([long], 0.3), cross_correlations([long, series(short)], 0.3)
+    assert abs(both.correlation - alone.correlation) < 0.2
