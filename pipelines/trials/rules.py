@@ -50,8 +50,8 @@ CONDITIONS: Mapping[str, Changes] = {
     "a periodic disturbance instead": {"unnamed.instead.without_periodic_names": lambda stage, _: stage},
     "a function of the position instead": {"unnamed.instead.without_names_of_position": lambda stage, _: stage},
     "sag instead of errors of a sensor": {
-        "servo.ties.without_sensor_names": lambda _, stage: stage,
-        "servo.ties.sag_tie": lambda *_: None,
+        "arm.sag_ties.without_sensor_names": lambda _, stage: stage,
+        "arm.sag_ties.sag_tie": lambda *_: None,
     },
     "the names alone on held-out recordings": {"proof._with_proven_model": proof.with_intervals},
     "the price on recordings left out": {"held_out.without_cheap_names": lambda stage: stage},

@@ -213,12 +213,12 @@ def _watched() -> tuple[Path, bytes]:
     workspace = open_workspace(place / "ws")
     dataset = workspace.dataset("demo")
     state = {
-        "schema": 1,
+        "schema": 2,
         "machine": {"dataset": dataset.reference, "verdict": "no_gap", "effects": []},
         "plant": plant_sha256(workspace.plant(dataset, None)),
         "recordings": [],
-        "hours": 0.0,
         "histories": [],
+        "reported": [],
     }
     return place, json.dumps(state).encode()
 
