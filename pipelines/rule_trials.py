@@ -89,18 +89,24 @@ def read(out: Path) -> dict[str, Any]:
 def table_of(result: dict[str, Any]) -> str:
     counts = ", ".join(f"{count} {name}" for name, count in result["verdicts"].items())
     rows = [
-        (trial, str(each["changed"]), "; ".join(f"{count} {move}" for move, count in each["moves"].items()))
+        (
+            trial,
+            str(each["changed"]),
+            "; ".join(f"{count} {move}" for move, count in each["moves"].items()),
+            ", ".join(f"{count} {way}" for way, count in each.get("plants", {}).items() if count),
+        )
         for trial, each in sorted(result["trials"].items(), key=lambda item: -item[1]["changed"])
-        if each["changed"]
+        if each["changed"] or any(each.get("plants", {}).values())
     ]
-    silent = ", ".join(trial for trial, each in result["trials"].items() if not each["changed"])
+    silent = ", ".join(trial for trial, each in result["trials"].items() if trial not in {row[0] for row in rows})
     needed = ", ".join(f"{condition} ({count})" for condition, count in result["needed"].items())
     cases = str(result["cases"]) if result["cases"] == result["listed"] else f"{result['cases']} of {result['listed']}"
     groups = ", ".join(f"{name} {count}" for name, count in result["groups"].items())
     head = f"{cases} sealed cases ({groups}), seed {result['seed']}, {result['date']}: {counts}. `{result['command']}`."
-    table = markdown(("switched off, or changed", "answers that change", "of these"), rows, "lrl")
+    header = "switched off, or changed", "answers that change", "of these", "stages of which the repaired plant leaves a tenth"
+    table = markdown(header, rows, "lrll")
     together = f"All others switched off together, these are needed in some case: {needed}."
-    return f"{head}\n\n{table}\n\nNo answer changes without: {silent}.\n\n{together}"
+    return f"{head}\n\n{table}\n\nNo answer and no plant changes without: {silent}.\n\n{together}"
 
 
 def search(counts: dict[str, int], seed: int, folder: Path, workers: int) -> int:

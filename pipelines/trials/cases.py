@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from sysid.gap.thresholds import as_little
 from trials.replaced import holders
 from trials.rules import CONDITIONS, TRIALS, Changes
 from trials.stored import Answer, stored_case
@@ -91,19 +92,27 @@ def verdict(answer: Answer) -> str:
 
 
 def changed(cases: Mapping[str, Mapping[str, Answer]]) -> dict[str, dict[str, Any]]:
-    """Trial → how many answers change, from which verdict to which, and the cases.
+    """Trial → how many answers change, from which verdict to which, and the cases; stages whose plant leaves more, or less.
 
     Args:
         cases: by name, the answer of every trial (the same ones in all of them); that of the rule itself has no name.
     """
     table: dict[str, dict[str, Any]] = {}
     for trial in next(iter(cases.values()), {}):
-        moves, names = Counter[str](), []
+        moves, names, plants = Counter[str](), [], Counter[str]()
         for name, answers in cases.items():
             before, after = answers[""], answers[trial]
+            plants += compared_plants(before, after)
             if [before["named"], before["ties"]] != [after["named"], after["ties"]]:
                 moves[f"{verdict(before)} → {verdict(after)}"] += 1
                 names.append(name)
         if trial:
-            table[trial] = {"changed": len(names), "moves": dict(sorted(moves.items())), "cases": names}
+            table[trial] = {"changed": len(names), "moves": dict(sorted(moves.items())), "cases": names, "plants": dict(plants)}
     return table
+
+
+def compared_plants(before: Answer, after: Answer) -> Counter[str]:
+    """Number of stages of which the repaired plant leaves ``more``, or ``less``, by over a tenth of error or floor."""
+    first, then = (answer.get("left", {}) for answer in (before, after))  # none in answers that are older
+    pairs = [(first[stage], then[stage]) for stage in first if stage in then]
+    return Counter(more=sum(not as_little(b, a) for a, b in pairs), less=sum(not as_little(a, b) for a, b in pairs))

@@ -22,6 +22,7 @@ import cloudpickle  # type: ignore[import-untyped]
 from hidden.evaluate import meant
 from sysid.datasets import ingest
 from sysid.gap import steps
+from sysid.gap.held_out import relative_error
 from sysid.gap.likelihood.rows import KnownResiduals
 from sysid.gap.likelihood.stage import StageLikelihood
 from sysid.gap.proof import ProofOutcome
@@ -50,7 +51,9 @@ class StoredCase:
     def answer(self, changes: Changes) -> Answer:
         """The answer of the rule with ``changes``, compared with the truth."""
         with self.memory.installed(), replaced(changes):
-            return evaluated(steps.decide_on(steps.search(self.study)), self.hidden)
+            searched = steps.search(self.study)
+            outcome = steps.decide_on(searched)
+        return {**evaluated(outcome, self.hidden), "left": left_of(searched, outcome)}
 
     def write(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -79,6 +82,12 @@ def search_case(site: Path, sealed: Path, out: Path) -> None:
         case = StoredCase(steps.open_study(dataset, nominal_plant(dataset.machine)), Memory(), hidden)
         first = case.answer({})
     replace(case, first=first).write(out)
+
+
+def left_of(study: steps.Study, outcome: ProofOutcome) -> dict[str, float]:
+    """What the repaired plant leaves of the held-out recordings of each stage, in noise floors."""
+    theta = outcome.repaired.vector()
+    return {stage.label: relative_error(stage, theta, stage.split.held_out) for stage in study.stages}
 
 
 def evaluated(outcome: ProofOutcome, hidden: Sequence[tuple[str, str]]) -> Answer:

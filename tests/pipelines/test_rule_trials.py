@@ -110,9 +110,23 @@ def test_changed_answers_are_counted_by_what_they_were() -> None:
     one = dict.fromkeys(TRIALS, right) | {"at a bound": wrong, "thresholds.LEAST x 1.5": less}
     other = dict.fromkeys(TRIALS, less) | {"at a bound": less}
     found = changed({"first": one, "second": other})
-    assert found["at a bound"] == {"changed": 1, "moves": {"exact → wrong": 1}, "cases": ["first"]}
+    assert found["at a bound"] == {
+        "changed": 1,
+        "moves": {"exact → wrong": 1},
+        "cases": ["first"],
+        "plants": {"more": 0, "less": 0},
+    }
     assert found["thresholds.LEAST x 1.5"]["moves"] == {"exact → incomplete": 1}
     assert sum(each["changed"] for each in found.values()) == 2
+
+
+def test_a_plant_that_leaves_a_tenth_more_or_less_is_counted_by_stage() -> None:
+    right, worse = answer("delay"), answer("delay")
+    right["left"] = {"one": 1.0, "two": 4.0, "three": 4.0}
+    worse["left"] = {"one": 1.09, "two": 5.0, "three": 3.0}
+    trials = dict.fromkeys(TRIALS, right) | {"at a bound": worse}
+    found = changed({"first": trials, "second": trials})
+    assert (found["at a bound"]["changed"], found["at a bound"]["plants"]) == (0, {"more": 2, "less": 2})
 
 
 def test_of_two_conditions_that_stand_for_each_other_one_is_needed() -> None:
