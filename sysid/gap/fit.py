@@ -16,8 +16,6 @@ from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 
-#: Residuals are softly winsorised beyond this many robust standard deviations.
-OUTLIER = 4.0
 #: Half-widths of the grids on which stepwise parameters are searched, in the negligible change of each.
 GRID = (20.0, 7.5, 2.5, 1.0, 0.375, 0.125)
 #: Grid points of one parameter, of each of two on the widest grid and on the others, of each of more than two.
@@ -218,12 +216,6 @@ def jacobian(
         known = errors(place(theta, unknowns, x[None]))[0]
     moved = errors(place(theta, unknowns, (x + np.diag(step))[asked]))
     return np.asarray(((moved - known) / step[asked, None]).T)
-
-
-def outlier_scale(r: Array) -> float:
-    """Magnitude beyond which a residual counts as an outlier: a few robust standard deviations, at least of the noise."""
-    used = r[r != 0.0]
-    return OUTLIER * max(1.4826 * float(np.median(np.abs(used))) if len(used) else 1.0, 1.0)
 
 
 def spread_of(parts: Sequence[Array]) -> float:

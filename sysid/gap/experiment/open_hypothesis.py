@@ -267,10 +267,9 @@ def whitened(data: Data, drifts: Sequence[DriftStrength], thetas: Array) -> Arra
     """Residuals of parameter vectors (lanes, N) whitened by the drift of each signal, (lanes, n)."""
     parts = data.bins(thetas)
     for part, recording in zip(parts, data.recordings, strict=True):
-        activity = _activity(data.problem, recording)
         for k, drift in enumerate(drifts):
             if drift.present:
-                part[:, :, k] = whiten_lanes(part[:, :, k], activity, drift)
+                part[:, :, k] = whiten_lanes(part[:, :, k], _activity(data.problem, recording), drift)
             part[:, :, k] /= drift.noise
     return joined(parts)
 

@@ -22,9 +22,12 @@ from sysid.datasets.recording import Recording
 from sysid.gap.candidates import Unknown
 from sysid.gap.data import Data, joined
 from sysid.gap.drift import BIN, robust_scale, to_bins
-from sysid.gap.fit import outlier_scale, place
+from sysid.gap.fit import place
 
 Array = npt.NDArray[np.float64]
+
+#: Residuals are softly winsorised beyond this many robust standard deviations.
+OUTLIER = 4.0
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,13 @@ def criterion_at(data: Data, theta: Array, unknowns: tuple[Unknown, ...], values
     series = [np.concatenate([part[0, :, k] for part in parts]) for k in range(len(data.sigma))]
     scales = np.array([robust_scale(s[~np.isnan(s)]) if not np.isnan(s).all() else 1.0 for s in series])
     rough = Criterion(data, theta, unknowns, np.maximum(scales, 1e-9), np.inf)
-    return replace(rough, outlier=outlier_scale(rough.errors(values[None])[0]))
+    return replace(rough, outlier=_outlier_scale(rough.errors(values[None])[0]))
+
+
+def _outlier_scale(r: Array) -> float:
+    """Magnitude beyond which a residual counts as an outlier: a few robust standard deviations, at least of the noise."""
+    used = r[r != 0.0]
+    return OUTLIER * max(1.4826 * float(np.median(np.abs(used))) if len(used) else 1.0, 1.0)
 
 
 # -- curvature of the cost -----------------------------------------------------------------------------------------------------
