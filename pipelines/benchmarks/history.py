@@ -41,11 +41,12 @@ def fallen(rows: Sequence[Row], machine: str, history: Sequence[Mapping[str, Any
 
 
 def read_history(path: Path) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = json.loads(path.read_text("utf-8")) if path.exists() else []
+    """Commit, date, computer and ratios of each measurement, the oldest first."""
+    found: list[dict[str, Any]] = json.loads(path.read_text("utf-8"))["measured"] if path.exists() else []
     return found
 
 
 def write_history(path: Path, history: Sequence[Mapping[str, Any]], head: Row, rows: Sequence[Row]) -> None:
-    """The history with the ratios of ``rows``; a line for each entry."""
+    """The history with the ratios of ``rows``, under the ``head`` of the last measurement as in every committed result."""
     entry = {key: head[key] for key in ("commit", "date", "machine")} | {"ratios": ratios_of(rows)}
-    path.write_text("[\n " + ",\n ".join(json.dumps(each) for each in (*history, entry)) + "\n]\n", "utf-8")
+    path.write_text(json.dumps({**head, "measured": [*history, entry]}, indent=1) + "\n", "utf-8")
