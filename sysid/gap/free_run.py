@@ -7,14 +7,14 @@ output (Tuo and Wu, Ann. Stat. 43 (2015), 2331–2352).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.comparison import left_where_acting
+from sysid.gap.comparison import left_where_acting, smallest_sets
 from sysid.gap.decision import FreeRun
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance
@@ -103,13 +103,24 @@ class LeastSquares(FreeRun):
         left = rows.scaled(rows.residuals(self.nearest(model).theta[None]).T)[:, 0]
         return np.asarray(np.bincount(rows.block, left**2, minlength=rows.blocks), dtype=np.float64)
 
-    def sets(self) -> list[ModelFit]:
+    def smallest(self, excited: Collection[str]) -> list[ModelFit]:
+        """The smallest sets that explain the output, in ascending order of the remaining error.
+
+        What the recordings do not excite would absorb the error of other effects beside them. It may be the cause in their
+        place: it competes in sets that are no larger than those of the effects ``excited``, which get names.
+        """
+        own, every = self.sets(excited), [c.label for c in self.proposals.candidates]
+        size = len(smallest_sets(own, self.left_where_acting)[0].candidates)
+        others = [f for f in self.sets(every, size) if not f.labels <= set(excited)]
+        return smallest_sets([*own, *others], self.left_where_acting)
+
+    def sets(self, among: Collection[str], largest: int = MAX_EFFECTS) -> list[ModelFit]:
         """Sets of effects, smallest first, each size in the order of the remaining error."""
         level = [self.proposals.fit(())]
         found = list(level)
-        for _ in range(MAX_EFFECTS):
+        for _ in range(largest):
             most = ADDITIONS if level[0].candidates else None
-            grown = {f.labels: f for model in level[:BEST_SETS] for f in self.proposals.grown(model, most)}
+            grown = {f.labels: f for model in level[:BEST_SETS] for f in self.proposals.grown(model, among, most)}
             best = level[0].left
             level = sorted(grown.values(), key=lambda f: f.left)
             found += level

@@ -6,7 +6,7 @@ short ones, since the slope of many effects is zero where they are absent.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -136,9 +136,10 @@ class Proposals:
                 means = np.array([float(np.mean(model.theta[list(u.places)])) for u in form.unknowns])
                 self.fit((*rest, form), np.concatenate([known, means])[None])
 
-    def grown(self, model: ModelFit, most: int | None = None) -> list[ModelFit]:
-        """A model with each of the candidates that are not in it yet, or with the ``most`` most promising."""
-        return [self._added(model, promise) for promise in self.promises(model)[:most]]
+    def grown(self, model: ModelFit, among: Collection[str], most: int | None = None) -> list[ModelFit]:
+        """A model with each of the candidates ``among`` these labels that it lacks, or with the ``most`` most promising."""
+        promises = [promise for promise in self.promises(model) if promise.candidate.label in among]
+        return [self._added(model, promise) for promise in promises[:most]]
 
     def near(self) -> list[ModelFit]:
         """Models close to the best, likeliest first, the one without effects among them."""

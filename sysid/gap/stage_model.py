@@ -11,7 +11,6 @@ import numpy.typing as npt
 from sysid.datasets.recording import Recording
 from sysid.gap.arm.sag import fewest_sets, sags
 from sysid.gap.candidates import Candidate
-from sysid.gap.comparison import smallest_sets
 from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import discrepancy_of, timing_alone
@@ -180,8 +179,8 @@ def search_stage(
     # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
     excited = [c for c in candidates if c.label in nameable]
     nothing = timing_alone(rows, timing)
-    free = free_run_of(rows, nothing if problem.integrates else timing_alone(rows, 0.0), excited)
-    sets = smallest_sets(free.sets(), free.left_where_acting) if problem.integrates else [free.proposals.fit(())]
+    free = free_run_of(rows, nothing if problem.integrates else timing_alone(rows, 0.0), candidates)
+    sets = free.smallest(nameable) if problem.integrates else [free.proposals.fit(())]
     known = dict(free.proposals.fits)
     discrepancy = discrepancy_of(model, rows, theta, timing)
     variances = first_variances(rows, start, len(discrepancy.groups), FREE_RUN_TAU if problem.integrates else FIRST_TAU)

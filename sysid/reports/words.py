@@ -97,8 +97,8 @@ def remainder_unit(stage: str, target: str, machine: Machine, units: Mapping[str
     return units.get(machine.axis(target).driven, "m")
 
 
-#: ``backlash(slew, drive)``: effect, target and further qualifiers.
-LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)")
+#: ``backlash(slew, drive) [width]``: effect, target, side, and the parameters of a form that is not the simplest.
+LABEL = re.compile(r"(?P<name>\w+)\((?P<target>[\w.]+)(?:,\s*(?P<rest>[^)]*))?\)(?: \[(?P<form>[^\]]*)\])?")
 #: Ratio of errors on selection recordings from which an alternative is worse, and clearly worse.
 WORSE, CLEARLY_WORSE = 1.05, 1.5
 
@@ -114,18 +114,25 @@ class RejectedEffect:
 
 
 def label_of(text: str) -> tuple[str, str, str]:
-    """``(effect, target, rest)`` of a candidate's label."""
+    """``(effect, target, qualifiers)`` of a candidate's label."""
     match = LABEL.fullmatch(text)
-    return (text, "", "") if match is None else (match["name"], match["target"], match["rest"] or "")
+    return (text, "", "") if match is None else (match["name"], match["target"], _qualifiers(match))
 
 
 def with_titles(text: str, machine: Machine) -> str:
     """The text with ``Servo lag of pitch`` in the place of the label ``first_order_lag(pitch)``."""
 
     def title(match: re.Match[str]) -> str:
-        return effect_place(match["name"], match["target"], machine) if match["name"] in BY_NAME else match[0]
+        if match["name"] not in BY_NAME:
+            return match[0]
+        qualified = f" ({match['form']})" if match["form"] else ""
+        return effect_place(match["name"], match["target"], machine) + qualified
 
     return LABEL.sub(title, text)
+
+
+def _qualifiers(match: re.Match[str]) -> str:
+    return ", ".join(match[key] for key in ("rest", "form") if match[key])
 
 
 def holds(row: ComparedModel, name: str, target: str) -> bool:

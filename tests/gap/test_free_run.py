@@ -16,6 +16,7 @@ from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import ModelFit, fit_model
 
 F, G, TWIN = candidate(0), candidate(1), candidate(2)
+ALL = [c.label for c in (F, G, TWIN)]
 
 
 def fitted(theta: tuple[float, float, float], *offered: Candidate) -> LeastSquares:
@@ -29,7 +30,7 @@ def with_value(free: LeastSquares, effect: Candidate, value: float) -> ModelFit:
 
 
 def test_every_candidate_is_tried_alone_and_the_best_together() -> None:
-    sets = fitted((0.6, -0.3, 0.0)).sets()
+    sets = fitted((0.6, -0.3, 0.0)).sets(ALL)
     assert next(f.labels for f in sets if len(f.candidates) == 1) == {F.label}
     assert {f.labels for f in sets if len(f.candidates) < 2} == {frozenset(), *(frozenset({c.label}) for c in (F, G, TWIN))}
     (best, *others) = (f for f in sets if len(f.candidates) == 2)
@@ -41,7 +42,15 @@ def test_every_candidate_is_tried_alone_and_the_best_together() -> None:
 
 
 def test_nothing_is_added_where_nothing_is_left() -> None:
-    assert all(len(f.candidates) < 2 for f in fitted((0.0, 0.0, 0.0)).sets())
+    assert all(len(f.candidates) < 2 for f in fitted((0.0, 0.0, 0.0)).sets(ALL))
+
+
+def test_what_is_not_excited_competes_in_place_of_others_and_not_beside_them() -> None:
+    twins = fitted((0.6, 0.0, 0.0), F, TWIN)
+    assert {f.labels for f in twins.smallest([TWIN.label])} == {frozenset({F.label}), frozenset({TWIN.label})}
+    both = fitted((0.9, -0.3, 0.0), F, G)
+    assert [f.labels for f in both.smallest([F.label])] == [{F.label}], "G would need a second effect"
+    assert [f.labels for f in both.smallest([F.label, G.label])] == [{F.label, G.label}]
 
 
 def test_what_is_left_is_that_of_the_better_values() -> None:
@@ -63,7 +72,7 @@ def test_least_squares_that_stopped_elsewhere_are_fitted_again_from_better_value
 
 def test_a_set_is_extended_by_the_effect_that_leaves_least() -> None:
     free = fitted((0.6, -0.3, 0.0))
-    one = next(f for f in free.sets() if f.labels == {F.label})
+    one = next(f for f in free.sets(ALL) if f.labels == {F.label})
     extended = free.extended(one)
     assert extended is not None
     assert extended.labels == {F.label, G.label}
@@ -74,8 +83,8 @@ def test_one_set_leaves_more_than_another_by_standard_errors_of_the_blocks() -> 
     free = fitted((0.6, -0.3, 0.0))
     none, one, both = (
         free.proposals.fit(()),
-        free.proposals.warm([F], free.sets()[1]),
-        free.proposals.warm([F, G], free.sets()[1]),
+        free.proposals.warm([F], free.sets(ALL)[1]),
+        free.proposals.warm([F, G], free.sets(ALL)[1]),
     )
     assert free.excess(none, both) > 4.0
     assert free.excess(both, none) == pytest.approx(-free.excess(none, both))
