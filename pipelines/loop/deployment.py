@@ -18,6 +18,8 @@ WITHOUT = {
     "motion": "the plant of a first run has no dead-bands, and a simulated machine cannot be damaged",
     "first_move": "the plant of a first run has no dead-bands, and a simulated machine cannot be damaged",
 }
+#: Thresholds that a machine passes with the plant of its first run, whose errors the gap workflow needs.
+WIDE = {"path": {"distance": 0.1}, "frozen": {"seconds": 0.1}}
 #: Rest before a run, in which the motion capture sees the parked machine [s].
 REST_S = 3.0
 
@@ -36,7 +38,7 @@ class Deployment:
     forward: str
     policy: str = "ik-lookahead"
     without: Mapping[str, str] = field(default_factory=lambda: WITHOUT)
-    checks: Mapping[str, Any] = field(default_factory=dict)
+    checks: Mapping[str, Any] = field(default_factory=lambda: WIDE)
     lookahead: float | None = None
 
     def assembled(self, registry: Registry, site: Path, task: Mapping[str, Any]) -> Assembly:

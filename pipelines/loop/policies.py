@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from loop.deployment import Deployment
+from loop.deployment import WIDE, Deployment
 from loop.rounds import Site
 from sysid.plant import Plant
 from sysid_rl.control import lookahead_time
@@ -16,7 +16,7 @@ from sysid_rl.train.training import train_policy
 EPISODES = 1280
 RECIPE = Path(__file__).resolve().parents[2] / "rl" / "autolog" / "quick.toml"
 #: A policy of a redundant machine begins in another posture than inverse kinematics, and approaches it at limited speed.
-CHECKS = {"policy": {"share": 1.0}}
+CHECKS = {**WIDE, "policy": {"share": 1.0}}
 
 
 def policy_deployment(site: Site, plant: Plant, below: Deployment) -> Deployment:

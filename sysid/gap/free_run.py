@@ -106,19 +106,18 @@ class LeastSquares(FreeRun):
     def smallest(self, excited: Collection[str]) -> list[ModelFit]:
         """The smallest sets that explain the output, in ascending order of the remaining error.
 
-        What the recordings do not excite would absorb the error of other effects beside them. It may be the cause in their
-        place: it competes in sets that are no larger than those of the effects ``excited``, which get names.
+        What the recordings do not excite gets no name; it may be the cause all the same, and competes with the effects
+        ``excited``.
         """
-        own, every = self.sets(excited), [c.label for c in self.proposals.candidates]
-        size = len(smallest_sets(own, self.left_where_acting)[0].candidates)
-        others = [f for f in self.sets(every, size) if not f.labels <= set(excited)]
-        return smallest_sets([*own, *others], self.left_where_acting)
+        every = [c.label for c in self.proposals.candidates]
+        found = {f.labels: f for among in (excited, every) for f in self.sets(among)}
+        return smallest_sets(list(found.values()), self.left_where_acting)
 
-    def sets(self, among: Collection[str], largest: int = MAX_EFFECTS) -> list[ModelFit]:
+    def sets(self, among: Collection[str]) -> list[ModelFit]:
         """Sets of effects, smallest first, each size in the order of the remaining error."""
         level = [self.proposals.fit(())]
         found = list(level)
-        for _ in range(largest):
+        for _ in range(MAX_EFFECTS):
             most = ADDITIONS if level[0].candidates else None
             grown = {f.labels: f for model in level[:BEST_SETS] for f in self.proposals.grown(model, among, most)}
             best = level[0].left
