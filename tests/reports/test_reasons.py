@@ -38,6 +38,7 @@ NAMED = NamedEffect(
 def test_labels_of_candidates() -> None:
     assert label_of("backlash(slew, drive)") == ("backlash", "slew", "drive")
     assert label_of("sensor_bias(boom.cylinder)") == ("sensor_bias", "boom.cylinder", "")
+    assert label_of("valve_deadband(boom) [positive, negative]") == ("valve_deadband", "boom", "positive, negative")
 
 
 def test_the_nearest_rival_comes_first_and_each_says_what_it_left() -> None:
