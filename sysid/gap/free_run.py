@@ -109,8 +109,8 @@ class LeastSquares(FreeRun):
         What the recordings do not excite gets no name; it may be the cause all the same, and competes with the effects
         ``excited``.
         """
-        every = [c.label for c in self.proposals.candidates]
-        found = {f.labels: f for among in (excited, every) for f in self.sets(among)}
+        every = frozenset(c.label for c in self.proposals.candidates)
+        found = {f.labels: f for among in dict.fromkeys((every & set(excited), every)) for f in self.sets(among)}
         return smallest_sets(list(found.values()), self.left_where_acting)
 
     def sets(self, among: Collection[str]) -> list[ModelFit]:

@@ -176,7 +176,7 @@ def search_stage(
     samples = max(1, round(full / recordings[0].rate_hz)) * rows.series[0].width
     start = _start(rows, sigma, samples)
     extra = _transients(rows)
-    # Effects that the recordings do not excite would absorb the error of others; they are compared at the end only.
+    # Beside a discrepancy, effects that the recordings do not excite would absorb the error of others: they come last there.
     excited = [c for c in candidates if c.label in nameable]
     nothing = timing_alone(rows, timing)
     free = free_run_of(rows, nothing if problem.integrates else timing_alone(rows, 0.0), candidates)
