@@ -80,14 +80,24 @@ def smallest_sets(models: Sequence[ModelFit], left: Callable[[ModelFit], float])
     least, size = np.inf, 0
     for f in sorted(models, key=lambda f: len(f.candidates)):
         n = len(f.candidates)
-        if (TENTH**2 - 1.0) * PRICE**n >= least and n != size:
+        if _charged(TENTH, n) >= least and n != size:
             break  # no remaining error justifies more effects
-        found = max(left(f), TENTH) ** 2 - 1.0
-        variance.setdefault(n, []).append((found, f))
-        if found * PRICE**n < least:
-            least, size = found * PRICE**n, n
+        remains = left(f)
+        variance.setdefault(n, []).append((_charged(remains, 0), f))
+        if _charged(remains, n) < least:
+            least, size = _charged(remains, n), n
     equal = sorted(variance[size], key=lambda each: each[0])
     return [f for found, f in equal if found <= PRICE * equal[0][0]]
+
+
+def may_be_smallest(effects: int, models: Sequence[ModelFit]) -> bool:
+    """Whether a set of so many effects that explained everything would be smaller, with its price, than each of ``models``."""
+    return _charged(TENTH, effects) < min(_charged(f.left, len(f.candidates)) for f in models)
+
+
+def _charged(left: float, effects: int) -> float:
+    """Variance above the noise floor with the price of so many effects; ``left`` in noise floors."""
+    return (max(left, TENTH) ** 2 - 1.0) * PRICE**effects
 
 
 def pays(before: float, after: float, effects: int = 1) -> bool:

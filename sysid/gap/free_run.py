@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid.gap.candidates import Candidate
-from sysid.gap.comparison import left_where_acting, smallest_sets
+from sysid.gap.comparison import left_where_acting, may_be_smallest, smallest_sets
 from sysid.gap.decision import FreeRun
 from sysid.gap.likelihood.discrepancy import Discrepancy
 from sysid.gap.likelihood.disturbance import Disturbance
@@ -25,8 +25,9 @@ from sysid.gap.thresholds import as_little, at_floor
 
 Array = npt.NDArray[np.float64]
 
-#: Largest number of effects of a set; sets of one size that are extended, and candidates that are added to each.
-MAX_EFFECTS, BEST_SETS, ADDITIONS = 3, 3, 6
+#: Largest number of effects of a set; sets of one size whose subsets are fitted again; sets of one size, and where none of them
+#: can be the smallest that explains the output.
+MAX_EFFECTS, BEST_SETS, MOST_SETS, FEWER_SETS = 3, 3, 18, 6
 #: Number of blocks over which errors of the free run are correlated.
 LAGS = 4
 #: Remaining errors within this factor are those of one optimum.
@@ -117,24 +118,28 @@ class LeastSquares(FreeRun):
         """Sets of effects, smallest first, each size in the order of the remaining error."""
         level = [self.proposals.fit(())]
         found = list(level)
-        for _ in range(MAX_EFFECTS):
-            most = ADDITIONS if level[0].candidates else None
-            grown = {f.labels: f for model in level[:BEST_SETS] for f in self.proposals.grown(model, among, most)}
-            best = level[0].left
-            level = sorted(grown.values(), key=lambda f: f.left)
+        for size in range(1, MAX_EFFECTS + 1):
+            wide = may_be_smallest(size, found)
+            best, grown = level[0].left, self.proposals.grown(level, among, MOST_SETS if wide else FEWER_SETS)
+            if not grown:
+                break
+            level = sorted(grown, key=lambda f: f.left)
+            if size > 1 and wide and not at_floor(level[0].left):
+                swapped = self.proposals.swapped(level[0], among)
+                level = sorted({f.labels: f for f in (*level, *swapped)}.values(), key=lambda f: f.left)
+            self._refit_subsets(level)
             found += level
-            for model in level[:BEST_SETS]:
-                self._refit_subsets(model)
-            if not level or at_floor(level[0].left) or as_little(best, level[0].left):
+            if at_floor(level[0].left) or as_little(best, level[0].left):
                 break
         return [self.proposals.fits[f.labels] for f in found]
 
-    def _refit_subsets(self, model: ModelFit) -> None:
-        """Fit each subset without one effect from the optimum of the set: alone it may end at another local optimum."""
-        for candidate in model.candidates:
-            rest = [c for c in model.candidates if c.key != candidate.key]
-            if rest:
-                self.proposals.fit(rest, np.concatenate([model.values_of(c) for c in rest])[None])
+    def _refit_subsets(self, level: Sequence[ModelFit]) -> None:
+        """Fit each subset of the best sets without one effect from the optimum of the set: alone it may end at another one."""
+        for model in level[:BEST_SETS]:
+            for candidate in model.candidates:
+                rest = [c for c in model.candidates if c.key != candidate.key]
+                if rest:
+                    self.proposals.fit(rest, np.concatenate([model.values_of(c) for c in rest])[None])
 
 
 def free_run_of(rows: StageRows, no_discrepancy: Discrepancy, candidates: Sequence[Candidate]) -> LeastSquares:

@@ -30,6 +30,8 @@ MAX_LOSS = 3.0
 MAX_DISTANCE = 60.0
 #: Additional start values of an added effect: of one unknown whose nominal value is within their range, and of others.
 FEW_STARTS, MANY_STARTS = 4, 16
+#: Start values from which a fit of a grown set tries a few steps.
+TRIED = 4
 #: Short steps of the screening, in the negligible change of each parameter.
 STEP = 2.0
 #: Least and largest share of a start value along which a response is taken as linear.
@@ -58,12 +60,16 @@ class Proposals:
     on_fit: Callable[[str], None] = lambda text: None
     earlier: Mapping[frozenset[str], ModelFit] = field(default_factory=dict)
     fits: dict[frozenset[str], ModelFit] = field(default_factory=dict)
+    _swaps: set[tuple[frozenset[str], str, str]] = field(default_factory=set, init=False)
     _screened: dict[frozenset[str], list[ExpectedGain]] = field(default_factory=dict)
 
     # -- single models -----------------------------------------------------------------------------------------------
 
-    def fit(self, candidates: Sequence[Candidate], starts: Array | None = None) -> ModelFit:
-        """The fit of a set from the best of ``starts`` (s, k); a later call with other starts may improve it."""
+    def fit(self, candidates: Sequence[Candidate], starts: Array | None = None, tried: int = 1) -> ModelFit:
+        """The fit of a set from the best of ``starts`` (s, k), the ``tried`` best compared after a few steps.
+
+        A later call with other starts may improve it.
+        """
         key = frozenset(c.label for c in candidates)
         known = self.fits.get(key)
         if known is not None and starts is None:
@@ -72,7 +78,7 @@ class Proposals:
         if starts is not None:
             starts = np.array([_reordered(candidates, ordered, row) for row in starts])
         self.on_fit(", ".join(sorted(key)) or "nominal")
-        found = fit_model(self.likelihood, ordered, _nominal(ordered)[None] if starts is None else starts)
+        found = fit_model(self.likelihood, ordered, _nominal(ordered)[None] if starts is None else starts, tried=tried)
         if known is None or found.evidence > known.evidence:
             self.fits[key] = found
         return self.fits[key]
@@ -136,10 +142,35 @@ class Proposals:
                 means = np.array([float(np.mean(model.theta[list(u.places)])) for u in form.unknowns])
                 self.fit((*rest, form), np.concatenate([known, means])[None])
 
-    def grown(self, model: ModelFit, among: Collection[str], most: int | None = None) -> list[ModelFit]:
-        """A model with each of the candidates ``among`` these labels that it lacks, or with the ``most`` most promising."""
-        promises = [promise for promise in self.promises(model) if promise.candidate.label in among]
-        return [self._added(model, promise) for promise in promises[:most]]
+    def grown(self, models: Sequence[ModelFit], among: Collection[str], most: int) -> list[ModelFit]:
+        """Models with one more of the candidates ``among`` these labels, the ``most`` that are expected to be likeliest.
+
+        Two effects that explain little may explain much with a third one. Each candidate is tried alone.
+        """
+        ways = [(model, promise) for model in models for promise in self.promises(model) if promise.candidate.label in among]
+        found: dict[frozenset[str], ModelFit] = {}
+        for model, promise in sorted(ways, key=lambda way: -(way[0].evidence + way[1].gain)):
+            labels = frozenset(c.label for c in (*_beside(promise.candidate, model), promise.candidate))
+            if labels not in found and (not model.candidates or len(found) < most):
+                found[labels] = self._added(model, promise, TRIED if model.candidates else 1)
+        return list(found.values())
+
+    def swapped(self, model: ModelFit, among: Collection[str]) -> list[ModelFit]:
+        """A model with each effect replaced by the most promising candidates ``among`` these labels, also by itself.
+
+        The other effects start at their values in the model: fitted without the effect they would take its part.
+        """
+        found = []
+        for candidate in model.candidates:
+            rest = _beside(candidate, model)
+            less = fit_model(self.likelihood, rest, np.concatenate([model.values_of(c) for c in rest])[None], rounds=0)
+            promises = [p for p in screened(self.likelihood, less, self._open(less)) if p.candidate.label in among]
+            for promise in sorted(promises, key=lambda p: -p.gain)[:SWAPPED]:
+                step = model.labels, candidate.label, promise.candidate.label
+                if step not in self._swaps:
+                    self._swaps.add(step)
+                    found.append(self._fitted(less, promise, TRIED))
+        return found
 
     def near(self) -> list[ModelFit]:
         """Models close to the best, likeliest first, the one without effects among them."""
@@ -155,19 +186,21 @@ class Proposals:
             self._screened[model.labels] = sorted(found, key=lambda p: -p.gain)
         return self._screened[model.labels]
 
-    def _added(self, model: ModelFit, promise: ExpectedGain) -> ModelFit:
-        new = promise.candidate
-        rest = [c for c in model.candidates if c.key != new.key and not new.contains(c)]
+    def _added(self, model: ModelFit, promise: ExpectedGain, tried: int = 1) -> ModelFit:
+        key = frozenset(c.label for c in (*_beside(promise.candidate, model), promise.candidate))
+        return self.fits[key] if key in self.fits else self._fitted(model, promise, tried)
+
+    def _fitted(self, model: ModelFit, promise: ExpectedGain, tried: int) -> ModelFit:
+        """A model with one more candidate, fitted from its start values and from those of the others in the model."""
+        new, rest = promise.candidate, _beside(promise.candidate, model)
         key = frozenset(c.label for c in (*rest, new))
-        if key in self.fits:
-            return self.fits[key]
         known = np.concatenate([np.empty(0), *(model.values_of(c) for c in rest)])
         before = self.earlier.get(key)
         spread = _spread(new) if before is None else np.array([before.values_of(new)])
         starts = np.array([np.concatenate([known, start]) for start in (promise.start, *new.starts, *spread)])
         if before is not None:
             starts = np.vstack([starts, np.concatenate([before.values_of(c) for c in (*rest, new)])])
-        return self.fit((*rest, new), starts)
+        return self.fit((*rest, new), starts, tried)
 
     def _open(self, model: ModelFit) -> list[Candidate]:
         """Candidates that are not in the model yet; a richer form where its simpler one is there."""
@@ -181,6 +214,11 @@ class Proposals:
             if simple if present is None else candidate.extends(present):
                 found.append(candidate)
         return found
+
+
+def _beside(new: Candidate, model: ModelFit) -> list[Candidate]:
+    """The effects of a model that stay when ``new`` is added."""
+    return [c for c in model.candidates if c.key != new.key and not new.contains(c)]
 
 
 def _may_replace(new: Candidate, old: Candidate) -> bool:

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from regression_stage import NOISE, SIGNAL, candidate, problem, recordings, rows_of
+from regression_stage import NOISE, SIGNAL, Array, candidate, problem, recordings, rows_of
 
-from sysid.gap.candidates import Candidate
+from sysid.effects import effect_named
+from sysid.gap.candidates import Candidate, Unknown
 from sysid.gap.comparison import pays
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import timing_alone
@@ -116,3 +117,32 @@ def test_an_effect_pays_where_it_acts() -> None:
     assert not pays(nothing.left, free.left(one))
     assert pays(nothing.left, free.left_where_acting(one))
     assert free.left_where_acting(nothing) == pytest.approx(free.left(nothing))
+
+
+#: Three effects, and three that stand for two of them each.
+SIX = ("sensor_bias", "sensor_scale", "joint_offset", "gain_error", "input_delay", "gain_curve")
+MIXED = ((0, 1), (1, 2), (2, 0))
+
+
+def six(time: Array) -> Array:
+    """Sines f₀ to f₂, and (f₀ + f₁)/2 with a little of another sine, and so on, (n, 6)."""
+    plain = np.sin(np.outer(time, [0.9, 1.7, 2.6]))
+    mixed = [0.5 * (plain[:, i] + plain[:, k]) + 0.4 * np.sin((3.4 + 0.7 * i) * time) for i, k in MIXED]
+    return np.column_stack([plain, *mixed])
+
+
+def test_three_effects_are_found_behind_pairs_that_stand_for_them() -> None:
+    """No two of the three are among the best pairs, each of which has one of the three and the mixture of the others."""
+    stage = replace(problem(), predict=lambda thetas, recording: (six(recording.values("clock")) @ thetas.T).T[:, :, None])
+    rows = StageRows(stage, recordings([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], functions=six), np.zeros(6), np.array([NOISE]))
+    effects = [effect_named(name) for name in SIX]
+    offered = [
+        Candidate(effect, effect.forms[0], SIGNAL, None, (Unknown("value", (k,), (-5.0, 5.0), 0.0, 0.01),), ((-1.0,), (1.0,)))
+        for k, effect in enumerate(effects)
+    ]
+    sets = free_run_of(rows, timing_alone(rows, 0.0), offered).sets([c.label for c in offered])
+    pairs = [f for f in sets if len(f.candidates) == 2]
+    assert all(len({c.effect.name for c in f.candidates} & set(SIX[:3])) == 1 for f in pairs[:3])
+    best = next(f for f in sets if len(f.candidates) == 3)
+    assert {c.effect.name for c in best.candidates} == set(SIX[:3])
+    assert best.left == pytest.approx(1.0, abs=0.1)

@@ -5,7 +5,7 @@ y = a·f(t) + b·g(t) + c·h(t) + noise,      θ = (a, b, c), absent at zero
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -42,8 +42,14 @@ def candidate(k: int) -> Candidate:
     return Candidate(effect, effect.forms[0], SIGNAL, None, (unknown,), ((-1.0,), (1.0,)))
 
 
-def recordings(theta: Sequence[float], count: int = 4, seconds: float = 20.0, seed: int = 0) -> list[Recording]:
-    """What is measured with ``theta`` in the machine."""
+def recordings(
+    theta: Sequence[float],
+    count: int = 4,
+    seconds: float = 20.0,
+    seed: int = 0,
+    functions: Callable[[Array], Array] = functions,
+) -> list[Recording]:
+    """What is measured with ``theta`` (k,) in the machine, and these functions of time (n,) → (n, k)."""
     found = []
     for k in range(count):
         rng = np.random.default_rng([seed, k])

@@ -381,6 +381,8 @@ def _factor(gram: Array) -> Array:
 
 #: Gauss–Newton steps at most, and the gain [nats] below which a fit has converged.
 ROUNDS, CONVERGED = 15, 0.05
+#: Steps from each start value that is tried.
+FIRST_ROUNDS = 3
 #: Damping factors; those after the first are tested where a step gains less than this share of the expected gain.
 DAMPING, MIN_GAIN_RATIO = (0.0, 1e-2, 0.3, 10.0), 0.5
 #: A parameter is flat if its negligible change moves the innovations by less than this (norm).
@@ -408,73 +410,92 @@ def residual_and_slopes(rows: StageRows, unknowns: Sequence[Unknown], values: Ar
     return table
 
 
-def fit_model(likelihood: StageLikelihood, candidates: Sequence[Candidate], starts: Array, rounds: int = ROUNDS) -> ModelFit:
-    """Fit the unknowns of ``candidates`` from the best of ``starts`` (s, k)."""
+def fit_model(
+    likelihood: StageLikelihood, candidates: Sequence[Candidate], starts: Array, rounds: int = ROUNDS, tried: int = 1
+) -> ModelFit:
+    """Fit the unknowns of ``candidates`` from the best of ``starts`` (s, k), the ``tried`` best compared after a few steps."""
     candidates = tuple(candidates)
-    unknowns = tuple(u for c in candidates for u in c.unknowns)
-    rows = likelihood.rows
-    nominal = rows.theta
-    prior = prior_of(candidates)
+    descent = _Descent(likelihood, candidates)
+    unknowns, prior, x = descent.unknowns, descent.prior, starts[0]
+    if not unknowns:
+        return _finished(likelihood, candidates, unknowns, x, likelihood.rows.residuals(likelihood.rows.theta[None]).T, prior)
     starts = np.clip(starts, prior.low, prior.high)
     x = starts[0]
-
-    def costs(lanes: Array, linear: Orthogonal) -> Array:
-        """Of values (lanes, k)."""
-        away = 0.5 * (((lanes - prior.centre) / prior.width) ** 2).sum(axis=1)
-        return np.asarray(likelihood.costs(place(nominal, unknowns, lanes), linear) + away)
-
-    def changes_at(values: Array) -> Array:
-        return np.ascontiguousarray(residual_and_slopes(rows, unknowns, values, prior.width))
-
-    if not unknowns:
-        return _finished(likelihood, candidates, unknowns, x, rows.residuals(nominal[None]).T, prior)
     if len(starts) > 1:
-        x = starts[int(np.argmin(costs(starts, likelihood.linear.alone)))]
-    stepwise = np.array([u.stepwise for u in unknowns])
-    raw: Array | None = None
-    for round_ in range(rounds):
-        raw = changes_at(x)
+        starts = starts[np.argsort(descent.costs(starts, likelihood.linear.alone), kind="stable")[:tried]]
+        x = starts[0]
+    if len(starts) > 1:
+        ends = np.array([descent.run(start, FIRST_ROUNDS)[0] for start in starts])
+        x = ends[int(np.argmin(descent.costs(ends, likelihood.linear.alone)))]
+    x, raw = descent.run(x, rounds)
+    table = raw.copy()
+    table[:, 1:] /= prior.width
+    for k in np.flatnonzero(descent.stepwise):
+        table[:, 1 + k] = _secant(likelihood, unknowns, x, table, int(k), prior)
+    return _finished(likelihood, candidates, unknowns, x, table, prior)
+
+
+class _Descent:
+    """Damped Gauss–Newton steps for the unknowns of ``candidates``, on a grid where the output is not differentiable."""
+
+    def __init__(self, likelihood: StageLikelihood, candidates: Sequence[Candidate]) -> None:
+        self.likelihood, self.prior = likelihood, prior_of(candidates)
+        self.unknowns = tuple(u for c in candidates for u in c.unknowns)
+        self.stepwise = np.array([u.stepwise for u in self.unknowns], dtype=bool)
+        self._negligible = np.array([u.negligible for u in self.unknowns])
+
+    def costs(self, lanes: Array, linear: Orthogonal) -> Array:
+        """Of values (lanes, k)."""
+        away = 0.5 * (((lanes - self.prior.centre) / self.prior.width) ** 2).sum(axis=1)
+        thetas = place(self.likelihood.rows.theta, self.unknowns, lanes)
+        return np.asarray(self.likelihood.costs(thetas, linear) + away)
+
+    def run(self, x: Array, rounds: int) -> tuple[Array, Array]:
+        """Values after at most so many steps from ``x`` (k,), and the residual there with its slopes, (rows, 1 + k)."""
+        raw = self._changes(x)
+        for first in (k == 0 for k in range(rounds)):
+            better = self._better(x, raw, first)
+            if better is None:
+                break
+            x, raw = better, self._changes(better)
+        return x, raw
+
+    def _changes(self, x: Array) -> Array:
+        return np.ascontiguousarray(residual_and_slopes(self.likelihood.rows, self.unknowns, x, self.prior.width))
+
+    def _better(self, x: Array, raw: Array, first: bool) -> Array | None:
+        """Values of less cost than ``x``, None where none are found."""
+        prior, likelihood = self.prior, self.likelihood
         table = likelihood.whitened(raw)
         w, slopes = table[:, 0], table[:, 1:]
-        linear = likelihood.linear.beside(slopes, likelihood.share(rows.scaled(raw[:, 1:])))
+        linear = likelihood.linear.beside(slopes, likelihood.share(likelihood.rows.scaled(raw[:, 1:])))
         z = linear.projected(np.column_stack([slopes, w]))
         away = (x - prior.centre) / prior.width
         cost = 0.5 * float(w @ w - z[:, -1] @ z[:, -1] + away @ away)
         hessian = slopes.T @ slopes - z[:, :-1].T @ z[:, :-1] + np.eye(len(x))
         gradient = slopes.T @ w - z[:, :-1].T @ z[:, -1] + away
-        flat = np.linalg.norm(slopes, axis=0) * np.array([u.negligible for u in unknowns]) < FLAT * prior.width
-        coarse = np.flatnonzero(stepwise | flat)
-        first = _stepped(x, hessian, gradient, DAMPING[0], prior)
-        away = (x - first) / prior.width
+        flat = np.linalg.norm(slopes, axis=0) * self._negligible < FLAT * prior.width
+        coarse = np.flatnonzero(self.stepwise | flat)
+        nearest = _stepped(x, hessian, gradient, DAMPING[0], prior)
+        away = (x - nearest) / prior.width
         promised = float(gradient @ away - 0.5 * away @ hessian @ away)
         least = max(CONVERGED, likelihood.converged * cost)
         lanes, tried = [x], [cost]
 
-        def attempt(
-            trials: Sequence[Array], lanes: list[Array] = lanes, tried: list[float] = tried, linear: Orthogonal = linear
-        ) -> float:
+        def attempt(trials: Sequence[Array]) -> float:
             """Gain of the best values so far, ``trials`` included."""
-            lanes += trials
-            tried += list(costs(np.array(trials), linear))
+            lanes.extend(trials)
+            tried.extend(self.costs(np.array(trials), linear))
             return tried[0] - min(tried)
 
         gained = 0.0
         if promised > least:
-            gained = attempt([first])
+            gained = attempt([nearest])
             if gained < MIN_GAIN_RATIO * promised:
                 gained = attempt([_stepped(x, hessian, gradient, damping, prior) for damping in DAMPING[1:]])
-        if len(coarse) and (round_ == 0 or gained <= least):
-            gained = attempt([moved for k in coarse for moved in _grid(x, int(k), unknowns[k], prior)])
-        if gained <= least:
-            break
-        x, raw = lanes[int(np.argmin(tried))], None
-    if raw is None:
-        raw = changes_at(x)
-    table = raw.copy()
-    table[:, 1:] /= prior.width
-    for k in np.flatnonzero(stepwise):
-        table[:, 1 + k] = _secant(likelihood, unknowns, x, table, int(k), prior)
-    return _finished(likelihood, candidates, unknowns, x, table, prior)
+        if len(coarse) and (first or gained <= least):
+            gained = attempt([moved for k in coarse for moved in _grid(x, int(k), self.unknowns[k], prior)])
+        return lanes[int(np.argmin(tried))] if gained > least else None
 
 
 def _grid(x: Array, k: int, unknown: Unknown, prior: Prior) -> list[Array]:
