@@ -39,7 +39,7 @@ class Data:
 
     def levelled(self, bins: Sequence[Array]) -> list[Array]:
         """Bins of a stage that integrates less their mean in each recording: a run starts at one sample, with its noise."""
-        if not self.problem.integrates:
+        if not self.problem.kind.integrates:
             return list(bins)
         there = [(~np.isnan(part)).sum(axis=1, keepdims=True) for part in bins]
         return [part - np.nansum(part, axis=1, keepdims=True) / np.maximum(n, 1) for part, n in zip(bins, there, strict=True)]

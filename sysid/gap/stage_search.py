@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
-from sysid.datasets.checks.roles import is_pose_set
 from sysid.datasets.recording import Recording
 from sysid.effects import clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
@@ -27,21 +26,19 @@ from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.prepare.clocks import open_offset
-from sysid.gap.problem import STATIC, Problem
+from sysid.gap.problem import Problem
 from sysid.gap.reasons import Reason
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.sensor_scales import SCALE
+from sysid.gap.stage_kind import LINKS, POSES
 from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.statement import AGREES
-from sysid.gap.thresholds import as_little, at_floor
+from sysid.gap.thresholds import as_little
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.progress import Progress
 
 Array = npt.NDArray[np.float64]
-#: Stage of the links of an arm.
-LINKS = "links"
 
 #: Standard deviation of an error of timing between input and output, in samples of the log: the uncertainty of sample-and-hold.
 #: Where the order of command and sample is stated, there is none between a command and its motion.
@@ -90,35 +87,35 @@ def find_stage(
     problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     seen = Data(problem, stage.split.seen, stage.sigma)
     nominal = spread_of(seen.residuals(stage.theta[None]))
-    # What agrees by the verdict cannot pay the price of an effect. Errors of poses are independent, and masses have many rows.
-    agrees = at_floor(nominal) if is_pose_set(case.dataset) else nominal <= AGREES
-    if agrees and problem.stage != LINKS:
+    if nominal <= problem.kind.agrees:
         progress(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
     fits = FitCount(progress, stage.label)
     offered = (c for c in stage_candidates(case, stage) if c.key not in refuted)
     candidates = [c for c in offered if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
-    if problem.stage == LINKS:
-        result = _found_in_links(case, stage, Offer(candidates, nameable, seen, nominal, fits))
-    elif is_pose_set(case.dataset):
-        result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
-    else:
-        model, equivalence = compile_plant(case.plant), _equivalence(case, candidates)
-        stated = case.order is not None and case.order.source == "stated" and problem.stage == "command"
-        timing = 0.0 if stated else TIMING / stage.split.seen[0].rate_hz
-        shared = [c.label for c in candidates if problem.stage in STATIC and c.key in _scales_of_drives(case)]
-
-        def search(some: Sequence[Candidate]) -> StageFit:
-            seen_by = problem, stage.split.seen, stage.theta, stage.sigma
-            return search_stage(model, *seen_by, some, nameable, fits, timing).decided(equivalence, shared)
-
-        fitted = search_alternatives(seen, stage.theta, candidates, search)
-        if problem.stage == "force":
-            fitted = _beside_links(case, stage, _without_masses(case, stage, fitted))
-        result = _result(problem, seen, _adjusted_to_free_run(seen, fitted), nominal)
+    search = {LINKS: _found_in_links, POSES: _found_in_poses}.get(problem.kind, _found_in_motion)
+    result = search(case, stage, Offer(candidates, nameable, seen, nominal, fits))
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
+
+
+def _found_in_motion(case: Case, stage: Stage, offer: Offer) -> StageResult:
+    """The result of a stage whose formulas may be wrong: beside a discrepancy."""
+    model, seen, candidates = compile_plant(case.plant), offer.seen, offer.candidates
+    kind, equivalence = seen.problem.kind, _equivalence(case, candidates)
+    stated = case.order is not None and case.order.source == "stated" and kind.commanded
+    timing = 0.0 if stated else TIMING / stage.split.seen[0].rate_hz
+    shared = [c.label for c in candidates if kind.static and c.key in _scales_of_drives(case)]
+
+    def search(some: Sequence[Candidate]) -> StageFit:
+        seen_by = seen.problem, seen.recordings, stage.theta, seen.sigma
+        return search_stage(model, *seen_by, some, offer.nameable, offer.fits, timing).decided(equivalence, shared)
+
+    fitted = search_alternatives(seen, stage.theta, candidates, search)
+    if kind.is_force:
+        fitted = _beside_links(case, stage, _without_masses(case, stage, fitted))
+    return _result(seen.problem, seen, _adjusted_to_free_run(seen, fitted), offer.nominal)
 
 
 def _found_in_links(case: Case, stage: Stage, offer: Offer) -> StageResult:

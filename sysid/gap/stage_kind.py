@@ -1,0 +1,104 @@
+"""Kinds of stage: what one part of the chain has that others have not, so that the workflow asks no stage what it is.
+
+A speed drive, a servo and a stage of static poses are kinds of their own: they share the name of their stage with others, and
+neither candidates nor thresholds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid.datasets.recording import Recording
+from sysid.effects.effect import Stage
+from sysid.gap.arm.pose_folds import shown_by_poses
+from sysid.gap.candidates import Candidate, without_aliases, without_servo_aliases
+from sysid.gap.likelihood.discrepancy.drives import force_columns, servo_columns, velocity_columns
+from sysid.gap.likelihood.discrepancy.geometry import joint_columns, tip_columns, tool_columns
+from sysid.gap.statement import AGREES
+from sysid.gap.thresholds import SHARE, TENTH
+from sysid.plant import Model
+
+if TYPE_CHECKING:
+    from sysid.gap.problem import Problem
+
+Array = npt.NDArray[np.float64]
+#: (model, problem, recordings, θ) → recording → group of the discrepancy → its columns on the measured rows, (n, m, d).
+Columns = Callable[[Model, "Problem", Sequence[Recording], Array], Callable[[Recording], dict[str, Array]]]
+#: (candidates, model, problem, typical gravity load by axis) → the candidates that its recordings distinguish.
+Distinct = Callable[[Sequence[Candidate], Model, "Problem", Mapping[str, float]], list[Candidate]]
+
+#: Any share of the gap.
+ANY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class StageKind:
+    """One kind of stage.
+
+    Args:
+        stage: its place in the chain; ``within``: further stages between its input and its output, whose effects it shows too.
+        columns: those of its discrepancy; None where it is searched without one.
+        distinct: the candidates, those that no recording of it distinguishes as one.
+        commanded: its input is what was sent, without noise; the input of other kinds is measured.
+        integrates: the output is an integral of the input, so that it accumulates every disturbance.
+        static: from measured positions to measured positions: without dynamics between two samples, and without a start state.
+        is_force: the output is a force: of an axis, or of the links of an arm.
+        sags: its actuator may give way to a gravity load.
+        whole_arm: its outputs are those of the stages of all axes, compared at once; these are searched with what it finds.
+        regression: smooth in all its values: one regression on these compares the sets of effects, and its posterior is exact.
+        agrees: largest error that cannot pay the price of an effect, so that nothing is searched [noise floors].
+        least_share: least share of the closable gap of a name: where formulas are wrong, and where they are right.
+    """
+
+    stage: Stage
+    columns: Columns | None = None
+    within: tuple[Stage, ...] = ()
+    distinct: Distinct = lambda candidates, *_: list(candidates)
+    commanded: bool = False
+    integrates: bool = False
+    static: bool = False
+    is_force: bool = False
+    sags: bool = False
+    whole_arm: bool = False
+    regression: bool = False
+    agrees: float = AGREES
+    least_share: tuple[float, float] = (SHARE, SHARE)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Stages of the chain whose effects it shows."""
+        return self.stage, *self.within
+
+
+def _of_servo(candidates: Sequence[Candidate], model: Model, problem: Problem, loads: Mapping[str, float]) -> list[Candidate]:
+    spins = len(problem.carried) == len(model.machine.axes) and not loads.get(problem.target)
+    return without_servo_aliases(candidates, model.machine, spins)
+
+
+SPEED = StageKind("command", velocity_columns, commanded=True, integrates=True)
+POSITION = StageKind("command", servo_columns, commanded=True, sags=True)
+#: A wrong armature moves a servo little beside a wrong damping.
+SERVO = StageKind("command", servo_columns, ("force",), _of_servo, commanded=True, least_share=(SHARE, ANY))
+FORCE = StageKind("force", force_columns, is_force=True)
+#: Masses have many rows, and friction, which is left out, is a large part of the forces.
+LINKS = StageKind("links", is_force=True, whole_arm=True, regression=True, agrees=-np.inf, least_share=(ANY, ANY))
+JOINT = StageKind("joint", joint_columns, static=True)
+TIP = StageKind("end_effector", tip_columns, distinct=lambda found, model, *_: without_aliases(found, model), static=True)
+#: Errors of static poses are independent noise, so that the region of practical equivalence alone decides on the size of an
+#: effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred.
+POSES = StageKind(
+    "end_effector",
+    distinct=lambda found, model, *_: without_aliases([c for c in found if shown_by_poses(c)], model),
+    static=True,
+    regression=True,
+    agrees=TENTH,
+    least_share=(SHARE, ANY),
+)
+TOOL = StageKind("tool", tool_columns)
+#: Of the driven signal by the actuation of its axis; the force of a force axis is a stage of its own.
+DRIVES = {"velocity": SPEED, "position": POSITION, "servo": SERVO}
