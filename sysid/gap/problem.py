@@ -80,7 +80,7 @@ class Problem:
     @property
     def stage(self) -> Stage:
         """Name of its place in the chain, for results."""
-        return self.kind.stage
+        return self.kind.stages[0]
 
     def rate(self, recording: Recording) -> float:
         """Measured rows per second; each static pose has its own bin."""
@@ -107,7 +107,7 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
         lambda recording: recording.values(axis.driven)[:, None],
         _every_row,
         lambda other, *_: drive_problem(other, other.machine.axis(axis.name)),
-        force=(lambda recording: servo_force(axis, recording)) if "force" in kind.within else None,
+        force=(lambda recording: servo_force(axis, recording)) if "force" in kind.stages else None,
         carried=model.carried(axis.name) if model.links_move else (),
         short=drive_problem(model, axis, SHORT_RUN) if kind.integrates and restart_every is None else None,
     )

@@ -306,7 +306,7 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
 def _least_share(result: StageResult) -> float:
     """Least share of the closable gap of a name."""
     assert result.stage_fit is not None
-    return result.problem.kind.least_share[result.stage_fit.decision.exact]
+    return result.problem.kind.least_share(result.stage_fit.decision.exact)
 
 
 def _use_narrower(outcome: ProofOutcome, found: NamedEffect, instance: KnownEffect) -> None:

@@ -20,7 +20,7 @@ from sysid.gap.candidates import Candidate, without_aliases, without_servo_alias
 from sysid.gap.likelihood.discrepancy.drives import force_columns, servo_columns, velocity_columns
 from sysid.gap.likelihood.discrepancy.geometry import joint_columns, tip_columns, tool_columns
 from sysid.gap.statement import AGREES
-from sysid.gap.thresholds import SHARE, TENTH
+from sysid.gap.thresholds import SHARE, at_floor
 from sysid.plant import Model
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class StageKind:
     """One kind of stage.
 
     Args:
-        stage: its place in the chain; ``within``: further stages between its input and its output, whose effects it shows too.
+        stages: stages of the chain whose effects it shows: its own first, then those between its input and its output.
         columns: those of its discrepancy; None where it is searched without one.
         distinct: the candidates, those that no recording of it distinguishes as one.
         commanded: its input is what was sent, without noise; the input of other kinds is measured.
@@ -51,13 +51,12 @@ class StageKind:
         sags: its actuator may give way to a gravity load.
         whole_arm: its outputs are those of the stages of all axes, compared at once; these are searched with what it finds.
         regression: smooth in all its values: one regression on these compares the sets of effects, and its posterior is exact.
-        agrees: largest error that cannot pay the price of an effect, so that nothing is searched [noise floors].
-        least_share: least share of the closable gap of a name: where formulas are wrong, and where they are right.
+        agrees: whether an error [noise floors] cannot pay the price of an effect, so that nothing is searched.
+        least_share: whether formulas are right → least share of the closable gap of a name.
     """
 
-    stage: Stage
+    stages: tuple[Stage, ...]
     columns: Columns | None = None
-    within: tuple[Stage, ...] = ()
     distinct: Distinct = lambda candidates, *_: list(candidates)
     commanded: bool = False
     integrates: bool = False
@@ -66,13 +65,8 @@ class StageKind:
     sags: bool = False
     whole_arm: bool = False
     regression: bool = False
-    agrees: float = AGREES
-    least_share: tuple[float, float] = (SHARE, SHARE)
-
-    @property
-    def stages(self) -> tuple[Stage, ...]:
-        """Stages of the chain whose effects it shows."""
-        return self.stage, *self.within
+    agrees: Callable[[float], bool] = lambda left: left <= AGREES
+    least_share: Callable[[bool], float] = lambda exact: SHARE
 
 
 def _of_servo(candidates: Sequence[Candidate], model: Model, problem: Problem, loads: Mapping[str, float]) -> list[Candidate]:
@@ -80,25 +74,29 @@ def _of_servo(candidates: Sequence[Candidate], model: Model, problem: Problem, l
     return without_servo_aliases(candidates, model.machine, spins)
 
 
-SPEED = StageKind("command", velocity_columns, commanded=True, integrates=True)
-POSITION = StageKind("command", servo_columns, commanded=True, sags=True)
+def _any_where_exact(exact: bool) -> float:
+    return ANY if exact else SHARE
+
+
+SPEED = StageKind(("command",), velocity_columns, commanded=True, integrates=True)
+POSITION = StageKind(("command",), servo_columns, commanded=True, sags=True)
 #: A wrong armature moves a servo little beside a wrong damping.
-SERVO = StageKind("command", servo_columns, ("force",), _of_servo, commanded=True, least_share=(SHARE, ANY))
-FORCE = StageKind("force", force_columns, is_force=True)
+SERVO = StageKind(("command", "force"), servo_columns, _of_servo, commanded=True, least_share=_any_where_exact)
+FORCE = StageKind(("force",), force_columns, is_force=True)
 #: Masses have many rows, and friction, which is left out, is a large part of the forces.
-LINKS = StageKind("links", is_force=True, whole_arm=True, regression=True, agrees=-np.inf, least_share=(ANY, ANY))
-JOINT = StageKind("joint", joint_columns, static=True)
-TIP = StageKind("end_effector", tip_columns, distinct=lambda found, model, *_: without_aliases(found, model), static=True)
+LINKS = StageKind(("links",), is_force=True, whole_arm=True, regression=True, agrees=lambda _: False, least_share=lambda _: ANY)
+JOINT = StageKind(("joint",), joint_columns, static=True)
+TIP = StageKind(("end_effector",), tip_columns, lambda found, model, *_: without_aliases(found, model), static=True)
 #: Errors of static poses are independent noise, so that the region of practical equivalence alone decides on the size of an
 #: effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred.
 POSES = StageKind(
-    "end_effector",
+    ("end_effector",),
     distinct=lambda found, model, *_: without_aliases([c for c in found if shown_by_poses(c)], model),
     static=True,
     regression=True,
-    agrees=TENTH,
-    least_share=(SHARE, ANY),
+    agrees=at_floor,
+    least_share=_any_where_exact,
 )
-TOOL = StageKind("tool", tool_columns)
+TOOL = StageKind(("tool",), tool_columns)
 #: Of the driven signal by the actuation of its axis; the force of a force axis is a stage of its own.
 DRIVES = {"velocity": SPEED, "position": POSITION, "servo": SERVO}

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Recording
 from sysid.gap.arm.sag import fewest_sets, sags
 from sysid.gap.candidates import Candidate
+from sysid.gap.data import SearchInput
 from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import discrepancy_of, timing_alone
@@ -18,10 +18,8 @@ from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import STATIC_SPAN, StageRows, averaged, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, own_evidence, robust
-from sysid.gap.problem import Problem
 from sysid.gap.proposals import Proposals
 from sysid.machine import EffectKey
-from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -145,25 +143,10 @@ class StageSearch:
         return replace(fitted, names_alone=_fitted(proposals, alone, self.free))
 
 
-def search_stage(
-    model: Model,
-    problem: Problem,
-    recordings: Sequence[Recording],
-    theta: Array,
-    sigma: Array,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    on_fit: Callable[[str], None],
-    timing: float,
-) -> StageSearch:
-    """Search one stage.
-
-    Args:
-        sigma: noise floor of each output, (d,).
-        nameable: labels of candidates that the recordings excite enough; the others are compared, but not named.
-        on_fit: called with the labels of each fitted set.
-        timing: error of timing between input and output [s], one standard deviation.
-    """
+def search_stage(given: SearchInput, timing: float) -> StageSearch:
+    """Search one stage; ``timing``: error of timing between input and output [s], one standard deviation."""
+    model, theta, candidates, nameable = given.model, given.theta, given.candidates, given.nameable
+    problem, recordings, sigma = given.seen.problem, given.seen.recordings, given.seen.sigma
     full = recordings[0].rate_hz
     # Means over 0.1 s that are shifted by a clock error are wrong by several noise floors at every start and stop.
     clocks = any(c.effect.target == "stream" for c in candidates)
@@ -186,7 +169,7 @@ def search_stage(
     variances = first_variances(rows, start, len(discrepancy.groups), FREE_RUN_TAU if problem.kind.integrates else FIRST_TAU)
     rich = sets[0]
     for _ in range(ROUNDS):
-        first = Proposals(StageLikelihood(rows, discrepancy, variances, extra), excited, on_fit, known)
+        first = Proposals(StageLikelihood(rows, discrepancy, variances, extra), excited, given.on_fit, known)
         rich = first.forward(first.warm(rich.candidates, rich))
         known |= first.fits
         del first, discrepancy  # the largest table of a stage, before the next one
@@ -194,7 +177,7 @@ def search_stage(
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
     variances = robust(StageLikelihood(rows, discrepancy, variances, extra), rich)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
-    proposals = Proposals(likelihood, candidates, on_fit, known)
+    proposals = Proposals(likelihood, candidates, given.on_fit, known)
     proposals.warm(rich.candidates, rich)
 
     bare = StageLikelihood(rows, nothing, replace(variances, groups=np.zeros(0)), extra)
