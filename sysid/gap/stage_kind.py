@@ -6,31 +6,17 @@ neither candidates nor thresholds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid.datasets.recording import Recording
 from sysid.effects.effect import Stage
 from sysid.gap.arm.pose_folds import shown_by_poses
 from sysid.gap.candidates import Candidate, without_aliases, without_servo_aliases
-from sysid.gap.likelihood.discrepancy.drives import force_columns, servo_columns, velocity_columns
-from sysid.gap.likelihood.discrepancy.geometry import joint_columns, tip_columns, tool_columns
 from sysid.gap.statement import AGREES
 from sysid.gap.thresholds import SHARE, at_floor
 from sysid.plant import Model
-
-if TYPE_CHECKING:
-    from sysid.gap.problem import Problem
-
-Array = npt.NDArray[np.float64]
-#: (model, problem, recordings, θ) → recording → group of the discrepancy → its columns on the measured rows, (n, m, d).
-Columns = Callable[[Model, "Problem", Sequence[Recording], Array], Callable[[Recording], dict[str, Array]]]
-#: (candidates, model, problem, typical gravity load by axis) → the candidates that its recordings distinguish.
-Distinct = Callable[[Sequence[Candidate], Model, "Problem", Mapping[str, float]], list[Candidate]]
 
 #: Any share of the gap.
 ANY = float(np.finfo(float).tiny)
@@ -42,8 +28,8 @@ class StageKind:
 
     Args:
         stages: stages of the chain whose effects it shows: its own first, then those between its input and its output.
-        columns: those of its discrepancy; None where it is searched without one.
-        distinct: the candidates, those that no recording of it distinguishes as one.
+        distinct: (candidates, model, whether a mass acts on its axis alone, like an armature) → the candidates, those that no
+            recording of it distinguishes as one.
         commanded: its input is what was sent, without noise; the input of other kinds is measured.
         integrates: the output is an integral of the input, so that it accumulates every disturbance.
         static: from measured positions to measured positions: without dynamics between two samples, and without a start state.
@@ -56,8 +42,7 @@ class StageKind:
     """
 
     stages: tuple[Stage, ...]
-    columns: Columns | None = None
-    distinct: Distinct = lambda candidates, *_: list(candidates)
+    distinct: Callable[[Sequence[Candidate], Model, bool], list[Candidate]] = lambda candidates, *_: list(candidates)
     commanded: bool = False
     integrates: bool = False
     static: bool = False
@@ -69,34 +54,34 @@ class StageKind:
     least_share: Callable[[bool], float] = lambda exact: SHARE
 
 
-def _of_servo(candidates: Sequence[Candidate], model: Model, problem: Problem, loads: Mapping[str, float]) -> list[Candidate]:
-    spins = len(problem.carried) == len(model.machine.axes) and not loads.get(problem.target)
-    return without_servo_aliases(candidates, model.machine, spins)
-
-
 def _any_where_exact(exact: bool) -> float:
     return ANY if exact else SHARE
 
 
-SPEED = StageKind(("command",), velocity_columns, commanded=True, integrates=True)
-POSITION = StageKind(("command",), servo_columns, commanded=True, sags=True)
+SPEED = StageKind(("command",), commanded=True, integrates=True)
+POSITION = StageKind(("command",), commanded=True, sags=True)
 #: A wrong armature moves a servo little beside a wrong damping.
-SERVO = StageKind(("command", "force"), servo_columns, _of_servo, commanded=True, least_share=_any_where_exact)
-FORCE = StageKind(("force",), force_columns, is_force=True)
+SERVO = StageKind(
+    ("command", "force"),
+    lambda found, model, spins: without_servo_aliases(found, model.machine, spins),
+    commanded=True,
+    least_share=_any_where_exact,
+)
+FORCE = StageKind(("force",), is_force=True)
 #: Masses have many rows, and friction, which is left out, is a large part of the forces.
 LINKS = StageKind(("links",), is_force=True, whole_arm=True, regression=True, agrees=lambda _: False, least_share=lambda _: ANY)
-JOINT = StageKind(("joint",), joint_columns, static=True)
-TIP = StageKind(("end_effector",), tip_columns, lambda found, model, *_: without_aliases(found, model), static=True)
+JOINT = StageKind(("joint",), static=True)
+TIP = StageKind(("end_effector",), lambda found, model, _: without_aliases(found, model), static=True)
 #: Errors of static poses are independent noise, so that the region of practical equivalence alone decides on the size of an
 #: effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred.
 POSES = StageKind(
     ("end_effector",),
-    distinct=lambda found, model, *_: without_aliases([c for c in found if shown_by_poses(c)], model),
+    lambda found, model, _: without_aliases([c for c in found if shown_by_poses(c)], model),
     static=True,
     regression=True,
     agrees=at_floor,
     least_share=_any_where_exact,
 )
-TOOL = StageKind(("tool",), tool_columns)
+TOOL = StageKind(("tool",))
 #: Of the driven signal by the actuation of its axis; the force of a force axis is a stage of its own.
 DRIVES = {"velocity": SPEED, "position": POSITION, "servo": SERVO}

@@ -6,7 +6,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +13,10 @@ import pandas as pd
 
 from sysid.compiled import kernel, summing
 from sysid.datasets.recording import Recording
+from sysid.gap.problem import Problem
+from sysid.gap.stage_kind import StageKind
 from sysid.plant.stretches import held
 from sysid.signals import axis_signal
-
-if TYPE_CHECKING:
-    from sysid.gap.problem import Problem
-    from sysid.gap.stage_kind import StageKind
 
 Array = npt.NDArray[np.float64]
 

@@ -239,7 +239,8 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
         # A spring reverses the motor several times in each motion, where errors of its damping and of the delay of the force
         # hide the shape of dry friction at low speeds.
         found = [c for c in found if coulomb_friction.EFFECT.name not in c.effect.generalises]
-    return problem.kind.distinct(found, compile_plant(case.plant), problem, scales.loads)
+    spins = len(problem.carried) == len(case.plant.machine.axes) and not scales.loads.get(problem.target)
+    return problem.kind.distinct(found, compile_plant(case.plant), spins)
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:

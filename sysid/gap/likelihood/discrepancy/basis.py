@@ -7,10 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid.gap.likelihood.discrepancy.drives import force_columns, servo_columns, velocity_columns
+from sysid.gap.likelihood.discrepancy.geometry import joint_columns, tip_columns, tool_columns
 from sysid.gap.likelihood.rows import StageRows, bin_means
+from sysid.gap.stage_kind import FORCE, JOINT, POSITION, SERVO, SPEED, TIP, TOOL
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
+
+#: (model, problem, recordings, θ) → recording → group → columns on the rows that the problem measures, (n, m, d).
+COLUMNS = {
+    SPEED: velocity_columns,
+    POSITION: servo_columns,
+    SERVO: servo_columns,
+    FORCE: force_columns,
+    JOINT: joint_columns,
+    TIP: tip_columns,
+    TOOL: tool_columns,
+}
 
 
 @dataclass(frozen=True)
@@ -41,8 +55,7 @@ def timing_alone(rows: StageRows, timing: float) -> Discrepancy:
 def discrepancy_of(model: Model, rows: StageRows, theta: Array, timing: float) -> Discrepancy:
     """The columns of a stage, with the dead time and lag of ``theta``; ``timing``: standard deviation of its error [s]."""
     problem = rows.problem
-    assert problem.kind.columns is not None
-    make = problem.kind.columns(model, problem, rows.recordings, theta)
+    make = COLUMNS[problem.kind](model, problem, rows.recordings, theta)
     groups, sizes = tuple[str, ...](), list[int]()
     table = np.empty((rows.count, 0), np.float32)
     at = 0
