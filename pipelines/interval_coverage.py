@@ -252,7 +252,7 @@ def nuisances(problem: Problem) -> tuple[str, ...]:
     """Effects whose parameters are free in every fit of a stage, since others would absorb them otherwise."""
     if problem.stage != "command":
         return ()
-    return ("gain_error", "input_delay") if problem.integrates else ("input_delay",)
+    return ("gain_error", "input_delay") if problem.kind.integrates else ("input_delay",)
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,9 @@ class Memory:
         """A context in which these functions remember."""
         return replaced(
             {
-                "likelihood.stage.fit_model": self._of(likelihood_stage.fit_model, _model_key, identified=0),
+                "likelihood.stage.fit_model": self._of(
+                    likelihood_stage.fit_model, _model_key, lambda likelihood, *_: likelihood
+                ),
                 "stage_model.search_stage": self._search(search_stage),
                 "intervals.known.known_of": self._of(known.known_of, _known_key),
                 "held_out.cross_validated_error": self._of(held_out.cross_validated_error, _error_key),
@@ -48,13 +50,15 @@ class Memory:
             }
         )
 
-    def _of(self, function: Callable[..., Any], key_of: Callable[..., Hashable], identified: int | None = None) -> Any:
-        """The function, which remembers; ``identified``: which argument the key has by its identity."""
+    def _of(
+        self, function: Callable[..., Any], key_of: Callable[..., Hashable], identified: Callable[..., object] | None = None
+    ) -> Any:
+        """The function, which remembers; ``identified``: arguments → what the key has by its identity."""
         name = f"{function.__module__}.{function.__qualname__}"
 
         @functools.wraps(function)
         def remembered(*args: Any, **named: Any) -> Any:
-            number = None if identified is None else self._number(args[identified])
+            number = None if identified is None else self._number(identified(*args))
             key = name, number, key_of(*args, **named)
             if key not in self._known:
                 self._known[key] = function(*args, **named)
@@ -69,7 +73,7 @@ class Memory:
         return found
 
     def _search(self, function: Callable[..., StageSearch]) -> Callable[..., StageSearch]:
-        searched = self._of(function, _search_key, identified=1)
+        searched = self._of(function, _search_key, lambda given, *_: given.seen.problem)
 
         @functools.wraps(function)
         def fresh(*args: Any) -> StageSearch:
@@ -101,10 +105,8 @@ def _model_key(likelihood: object, candidates: Any, starts: Any, rounds: int = l
     return _labels(candidates), _bytes(starts), rounds
 
 
-def _search_key(
-    model: Any, problem: Any, recordings: Any, theta: Any, sigma: Any, candidates: Any, nameable: Any, _: Any, timing: float
-) -> Any:
-    return _bytes(theta), _bytes(sigma), _labels(candidates), tuple(nameable), timing
+def _search_key(given: Any, timing: float) -> Any:
+    return _bytes(given.theta), _bytes(given.seen.sigma), _labels(given.candidates), tuple(given.nameable), timing
 
 
 def _known_key(data: Any, theta: Any, fitted: Any, noise: Any, seed: int) -> Any:

@@ -74,7 +74,7 @@ def maps_of(
             item
             for quantity, curves in zip(quantities, errors[..., k], strict=False)  # speeds where the stage integrates
             for over, variable in variables.items()
-            if not (problem.integrates and quantity[0] == "error" and not _is_own(over, problem.target))
+            if not (problem.kind.integrates and quantity[0] == "error" and not _is_own(over, problem.target))
             if (item := _map(problem, signal, over, variable, quantity, curves)) is not None
         ]
         found += sorted(of_signal, key=lambda item: -item.explains)
@@ -91,7 +91,7 @@ def _errors(problem: Problem, theta: Array, repaired: Array | None, recording: R
     nothing = np.full(measured.shape, np.nan)
     error, after = measured - predicted[0], measured - predicted[1] if repaired is not None else nothing
     found = [[error, after, nothing, nothing]]
-    if problem.integrates:
+    if problem.kind.integrates:
         rate_hz = problem.rate(recording)
         found.append([speed_of(values, rate_hz) for values in (error, after, measured, predicted[0])])
     return np.array(found)
@@ -202,8 +202,8 @@ def _of_axis(problem: Problem, recording: Recording, known: _Units) -> dict[str,
         speed = speed_of(position, recording.rate_hz)
         found[f"speed of {axis.name}"] = _Variable(speed, per_second(unit), "signed")
         found[f"direction of {axis.name}"] = _Variable(direction_of(speed), "1", "sign")
-        if problem.stage != "force":  # the force is the output there
-            signal = axis_signal(axis.name, "command")
+        signal = axis_signal(axis.name, "command")
+        if signal not in problem.signals:
             found[signal] = _Variable(recording.values(signal), known.of(signal), "signed")
         found |= _of_others(axis.name, recording, known)
     return found | _loads(recording, known, (axis.name,))
@@ -228,8 +228,8 @@ def _of_others(axis: str, recording: Recording, known: _Units) -> dict[str, _Var
 def _of_point(problem: Problem, recording: Recording, known: _Units) -> dict[str, _Variable]:
     """For the tip: every joint and load. For the tool: speed and acceleration of its pivot."""
     found: dict[str, _Variable] = {}
-    if problem.stage == "tool":
-        for coordinate in point_signals("ee"):
+    if problem.inputs == point_signals("ee"):
+        for coordinate in problem.inputs:
             speed = speed_of(recording.values(coordinate), recording.rate_hz)
             found[f"speed of {coordinate}"] = _Variable(speed, "m/s", "signed")
             found[f"acceleration of {coordinate}"] = _Variable(speed_of(speed, recording.rate_hz), "m/s²", "signed")

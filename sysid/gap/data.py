@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
+from sysid.gap.candidates import Candidate
 from sysid.gap.drift import bins_of
 from sysid.gap.problem import Problem
+from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +41,7 @@ class Data:
 
     def levelled(self, bins: Sequence[Array]) -> list[Array]:
         """Bins of a stage that integrates less their mean in each recording: a run starts at one sample, with its noise."""
-        if not self.problem.integrates:
+        if not self.problem.kind.integrates:
             return list(bins)
         there = [(~np.isnan(part)).sum(axis=1, keepdims=True) for part in bins]
         return [part - np.nansum(part, axis=1, keepdims=True) / np.maximum(n, 1) for part, n in zip(bins, there, strict=True)]
@@ -53,6 +55,25 @@ class Data:
             noise = max(float(np.sqrt(np.mean(there**2))), 1e-12) if len(there) else 1.0
             total -= len(there) * (np.log(noise) + 0.5)
         return total
+
+
+@dataclass(frozen=True)
+class SearchInput:
+    """What the search of a stage begins with.
+
+    Args:
+        seen: its recordings, the held-out ones not among them.
+        theta: vector of the plant under test, (N,).
+        nameable: labels of candidates that the recordings excite enough; the others are compared, but not named.
+        on_fit: called with the labels of each fitted set.
+    """
+
+    model: Model
+    seen: Data
+    theta: Array
+    candidates: Sequence[Candidate]
+    nameable: Sequence[str]
+    on_fit: Callable[[str], None]
 
 
 def joined(bins: Sequence[Array]) -> Array:

@@ -97,7 +97,7 @@ def localise(
     """
     rows = []
     for k, problem in enumerate(problems):
-        if problem.stage == "links":  # the same forces are outputs of the axes' own stages
+        if problem.kind.whole_arm:  # the same forces are outputs of the axes' own stages
             continue
         scores = stage_rmse(problem, theta, recordings[k])
         frequencies = resonance_frequencies(problem, theta, recordings[k], floors[k])
@@ -116,7 +116,7 @@ def localise(
 def stage_gap(case: Case, stages: Sequence[Stage], repaired: Array) -> Gap:
     """RMSE of every stage driven by its measured input, on held-out recordings; of the speeds of command stages too."""
     # The forces of the links stage are outputs of the axes' stages too.
-    own = [(s.problem, s.split.held_out) for s in stages if s.problem.stage != "links"]
+    own = [(s.problem, s.split.held_out) for s in stages if not s.problem.kind.whole_arm]
     parts = [*own, *_speeds(case, stages)]
     floors = problem_floors([(problem, repaired, held_out) for problem, held_out in parts], case.noise, case.seed)
     found: tuple[dict[str, float], dict[str, float], dict[str, float]] = {}, {}, {}
@@ -133,7 +133,7 @@ def _speeds(case: Case, stages: Sequence[Stage]) -> list[tuple[Problem, Sequence
         return []
     model, found = compile_plant(case.plant), list[tuple[Problem, Sequence[Recording]]]()
     for stage in stages:
-        if stage.problem.stage == "command":
+        if stage.problem.kind.commanded:
             problem = speed_problem(model, case.plant.machine.axis(stage.problem.target))
             measured = [r for r in stage.split.held_out if not np.isnan(problem.measured(r)).all()]
             if measured:

@@ -135,7 +135,7 @@ def without_cheap_names(stage: Stage) -> Stage:
     if not lost:
         return stage
     rest = [kept.candidate.label for kept in result.named if kept.candidate.label not in lost]
-    if stage.problem.integrates and rest:
+    if result.accumulates and rest:
         others = (comparisons_without(stage, label)[0][0] for label in lost)
         before, *alone = (error(each) for each in (stage.nominal, *others))
         if not all(pays(before, after, len(rest)) for after in alone):
@@ -145,7 +145,7 @@ def without_cheap_names(stage: Stage) -> Stage:
 
 def _pays(stage: Stage, without: Fitted, model: Fitted, error: Callable[[Fitted], float]) -> bool:
     """Whether a name is worth its price, by sets without and with its effect; ``error``: by cross-validation."""
-    if stage.problem.integrates:
+    if stage.found.accumulates:
         return pays(error(without), error(model))
     excited = is_excited(stage, without.theta, model.theta)
     return not excited or pays(held_out_error(stage, without.theta), held_out_error(stage, model.theta))
@@ -160,7 +160,7 @@ def comparisons_without(stage: Stage, label: str) -> list[tuple[Fitted, Fitted]]
     owner's plant has not exactly may hide it on the few held-out recordings.
     """
     result = stage.found
-    if not stage.problem.integrates:
+    if not result.accumulates:
         return [(stage.nominal, result.fit)]
     pairs: list[tuple[Fitted, Fitted]] = []
     for found in (result.names_alone, result):

@@ -16,6 +16,7 @@ from sysid.errors import ExcitationError
 from sysid.gap.arm.forces import ArmForces
 from sysid.gap.arm.pose_folds import pose_roles
 from sysid.gap.drift import BIN
+from sysid.gap.stage_kind import DRIVES, FORCE, JOINT, LINKS, POSES, POSITION, TIP, TOOL, StageKind
 from sysid.machine import Axis
 from sysid.plant import Model
 from sysid.plant.force import ForceFilter, ForceInputs, force_inputs
@@ -28,10 +29,6 @@ from sysid.signals import axis_signal, point_signals, split_signal
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
-#: Stages whose output is a force: of an axis, or of the links of an arm.
-FORCES = ("force", "links")
-#: Stages from measured positions to measured positions: without dynamics between two samples, and without a start state.
-STATIC: tuple[Stage, ...] = ("joint", "end_effector")
 #: Length of the short runs from which a drive fit takes its starting values [s].
 SHORT_RUN = 5.0
 
@@ -45,13 +42,13 @@ class Problem:
     """A stage driven by its measured input.
 
     Args:
-        stage, target: its place in the chain; ``targets``: targets of the effects that belong to it.
-        within: further stages of the chain between its input and its output, whose effects it shows as well.
+        kind, target: its place in the chain; ``targets``: targets of the effects that belong to it.
         signals: names of the d outputs.
         predict: (lanes, N) parameters and a recording → (lanes, n, d).
         measured: recording → (n, d), NaN where missing.
         rows: recording → indices of the n measured rows.
-        integrates: the output is an integral of the input, so that it accumulates every disturbance.
+        again: (model, recordings, filter of a force) → the same stage of another model; of a force, for these recordings, less
+            those that do not determine it.
         short: the same problem restarted from the measurement every few seconds, where drift could lead to a local optimum.
         poses: static poses excite it too, each an independent measurement.
         only: names of the recordings of motion in which it can be compared; None: all.
@@ -62,19 +59,18 @@ class Problem:
             ``by_estimates``: the same stage for such recordings.
     """
 
-    stage: Stage
+    kind: StageKind
     target: str
     targets: tuple[str, ...]
     signals: tuple[str, ...]
     predict: Callable[[Array, Recording], Array]
     measured: Callable[[Recording], Array]
     rows: Callable[[Recording], Rows]
-    integrates: bool = False
+    again: Callable[[Model, Sequence[Recording], ForceFilter], Problem]
     short: Problem | None = None
     poses: bool = False
     only: frozenset[str] | None = None
     force_filter: ForceFilter | None = None
-    within: tuple[Stage, ...] = ()
     force: Callable[[Recording], Array] | None = None
     carried: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
@@ -82,9 +78,9 @@ class Problem:
     by_estimates: Problem | None = None
 
     @property
-    def stages(self) -> tuple[Stage, ...]:
-        """Stages of the chain whose effects it shows."""
-        return self.stage, *self.within
+    def stage(self) -> Stage:
+        """Name of its place in the chain, for results."""
+        return self.kind.stages[0]
 
     def rate(self, recording: Recording) -> float:
         """Measured rows per second; each static pose has its own bin."""
@@ -100,21 +96,20 @@ def drive_problem(model: Model, axis: Axis, restart_every: float | None = None) 
     def predict(thetas: Array, recording: Recording) -> Array:
         return model.drive(thetas, recording, axis.name, restart_every)[:, :, None]
 
-    moves = axis.actuation == "velocity"
+    kind = DRIVES[axis.actuation]
     targets = (axis.name, "machine") if _shares_pump(model, axis) else (axis.name,)
     return Problem(
-        "command",
+        kind,
         axis.name,
-        targets if moves else (*targets, axis.driven),  # the position of a servo is its setpoint plus the bias of its sensor
+        targets if kind.integrates else (*targets, axis.driven),  # a servo's position is its setpoint plus the sensor's bias
         (axis.driven,),
         predict,
         lambda recording: recording.values(axis.driven)[:, None],
         _every_row,
-        integrates=moves,
-        within=("force",) if axis.actuation == "servo" else (),
-        force=(lambda recording: servo_force(axis, recording)) if axis.actuation == "servo" else None,
+        lambda other, *_: drive_problem(other, other.machine.axis(axis.name)),
+        force=(lambda recording: servo_force(axis, recording)) if "force" in kind.stages else None,
         carried=model.carried(axis.name) if model.links_move else (),
-        short=drive_problem(model, axis, SHORT_RUN) if moves and restart_every is None else None,
+        short=drive_problem(model, axis, SHORT_RUN) if kind.integrates and restart_every is None else None,
     )
 
 
@@ -126,13 +121,14 @@ def speed_problem(model: Model, axis: Axis) -> Problem:
     """
     speed = axis_signal(axis.name, "speed")
     return Problem(
-        "command",
+        POSITION,  # also that of a speed drive: its rate is no integral of the command
         axis.name,
         (axis.name,),
         (speed,),
         lambda thetas, recording: model.speed(thetas, recording, axis.name)[:, :, None],
         lambda recording: recording.values(speed)[:, None],
         _every_row,
+        lambda other, *_: speed_problem(other, other.machine.axis(axis.name)),
     )
 
 
@@ -145,14 +141,19 @@ def force_problem(model: Model, axis: Axis, recordings: Sequence[Recording], set
         original, inputs = known[recording.name]
         return inputs if recording is original else force_inputs(recording, axis, settings, inputs.rows)
 
+    def again(other: Model, given: Sequence[Recording], by: ForceFilter) -> Problem:
+        there = other.machine.axis(axis.name)
+        return force_problem(other, there, _determining(given, [there], by), by)
+
     return Problem(
-        "force",
+        FORCE,
         axis.name,
         (axis.name,),
         (axis_signal(axis.name, "command"),),
         lambda thetas, recording: inputs_of(recording).model_force(model, thetas, axis.name)[:, :, None],
         lambda recording: inputs_of(recording).force[:, None],
         lambda recording: known[recording.name][1].rows,
+        again,
         only=frozenset(known),
         force_filter=settings or ForceFilter(),
     )
@@ -164,14 +165,20 @@ def links_problem(model: Model, axes: Sequence[Axis], recordings: Sequence[Recor
     Its effects are those of the links, which act on several axes.
     """
     forces = ArmForces(model, axes, recordings)
+
+    def again(other: Model, given: Sequence[Recording], by: ForceFilter) -> Problem:
+        there = [other.machine.axis(axis.name) for axis in axes]
+        return links_problem(other, there, _determining(given, there, by))
+
     return Problem(
-        "links",
+        LINKS,
         "arm",
         ("tool", *(axis.name for axis in axes)),
         tuple(axis_signal(axis.name, "command") for axis in axes),
         forces.predicted,
         forces.measured,
         forces.rows,
+        again,
         only=forces.names,
     )
 
@@ -192,14 +199,12 @@ def for_recordings(problem: Problem, model: Model, recordings: Sequence[Recordin
 
     The filter is that of ``problem``. Recordings that do not determine the force are not among those in which it is compared.
     """
-    if problem.only is None:
-        return problem
-    axes = [model.machine.axis(signal.partition(".")[0]) for signal in problem.signals]
-    settings = problem.force_filter or ForceFilter()
-    moving = [r for r in recordings if r.kind == "motion" and all(force_determined(r, axis, 0.0, settings) for axis in axes)]
-    if problem.stage == "force":
-        return force_problem(model, axes[0], moving, settings)
-    return links_problem(model, axes, moving)
+    return problem if problem.only is None else problem.again(model, recordings, problem.force_filter or ForceFilter())
+
+
+def _determining(recordings: Sequence[Recording], axes: Sequence[Axis], settings: ForceFilter) -> list[Recording]:
+    """The recordings of motion that determine the forces of all axes."""
+    return [r for r in recordings if r.kind == "motion" and all(force_determined(r, axis, 0.0, settings) for axis in axes)]
 
 
 def _force_problems(model: Model, axis: Axis, split: Split) -> list[Problem]:
@@ -260,28 +265,30 @@ def joint_problem(model: Model, axis: Axis) -> Problem:
         *other_clocks(model, axis_signal(axis.name, "cylinder"), joint),
     )
     return Problem(
-        "joint",
+        JOINT,
         axis.name,
         targets,
         (joint,),
         predict,
         lambda recording: recording.values(joint)[:, None],
         _every_row,
+        lambda other, *_: joint_problem(other, other.machine.axis(axis.name)),
         inputs=(axis_signal(axis.name, "cylinder"),),
     )
 
 
-def tip_problem(model: Model) -> Problem:
-    """Joints → end effector through the kinematics."""
+def tip_problem(model: Model, kind: StageKind = TIP) -> Problem:
+    """Joints → end effector through the kinematics; ``kind``: that of a dataset without motion is ``POSES``."""
     joints = [axis_signal(name, "joint") for name in model.machine.axis_names]
     return Problem(
-        "end_effector",
+        kind,
         "ee",
         (*model.machine.axis_names, "base", "ee", *joints, *other_clocks(model, *joints, *point_signals("ee"))),
         point_signals("ee"),
         model.tip,
         lambda recording: measured_point(recording, "ee"),
         _every_row,
+        lambda other, *_: tip_problem(other, kind),
         poses=True,
         inputs=tuple(joints),
     )
@@ -290,13 +297,14 @@ def tip_problem(model: Model) -> Problem:
 def tool_problem(model: Model) -> Problem:
     """End effector → hanging tool; a plant without sway predicts tool = ee (contract)."""
     return Problem(
-        "tool",
+        TOOL,
         "tool",
         ("tool", *other_clocks(model, *point_signals("ee"), *point_signals("tool"))),
         point_signals("tool"),
         model.tool,
         lambda recording: measured_point(recording, "tool"),
         _every_row,
+        lambda other, *_: tool_problem(other),
         inputs=point_signals("ee"),
     )
 
@@ -387,7 +395,7 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
         else:
             problems.append(drive_problem(model, axis))
     if model.rigid is not None:
-        problems = [*_links_problems(model, [p for p in problems if p.stage == "force"], split), *problems]
+        problems = [*_links_problems(model, [p for p in problems if p.kind.is_force], split), *problems]
     for axis in model.machine.axes:
         joint = axis_signal(axis.name, "joint")
         if axis.drives == "cylinder" and axis.name in model.linked and measured_together(motion, axis.driven, joint):
@@ -396,7 +404,7 @@ def problems_of(model: Model, dataset: Dataset) -> list[Problem]:
     measured = (*joints, *point_signals("ee"))
     enough = poses_together(dataset, *measured) >= MIN_POSES if is_pose_set(dataset) else False
     if model.posed and (enough or measured_together((*motion, *dataset.of_kind("poses")), *measured)):
-        problems.append(tip_problem(model))
+        problems.append(tip_problem(model, POSES if is_pose_set(dataset) else TIP))
     if model.posed and measured_together(motion, *point_signals("ee"), *point_signals("tool")):
         problems.append(tool_problem(model))
     return problems

@@ -26,13 +26,12 @@ from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import Case, Stage
 from sysid.gap.prepare.noise import problem_floor
 from sysid.gap.prepare.resolution import CoarseSensor
-from sysid.gap.problem import FORCES
 from sysid.gap.reasons import Reason
 from sysid.gap.result import Alternative, Gap, NamedEffect, NearMissResult, ResidualModelResult, Unnamed, Value
 from sysid.gap.stage_intervals import limits_of, may_be_absent, simultaneous, with_intervals, with_intervals_of
 from sysid.gap.stage_result import AcceptedEffect, StageResult
 from sysid.gap.statement import AGREES
-from sysid.gap.thresholds import SHARE, Z, as_little, at_floor
+from sysid.gap.thresholds import Z, as_little, at_floor
 from sysid.gap.unnamed.description import describe_period, describe_residual
 from sysid.gap.unnamed.instead import without_names_of_position, without_periodic_names
 from sysid.gap.written import near_misses
@@ -95,7 +94,7 @@ def evaluate(case: Case, stages: Sequence[Stage]) -> ProofOutcome:
         if proven and all(kept.candidate.label in refused for kept in result.named):
             _without_name(case, stage, refused, outcome)
         # What remains of the forces of an arm shows at its axes, each with its friction.
-        searched = result.stage_fit is not None and stage.problem.stage != "links"
+        searched = result.stage_fit is not None and not stage.problem.kind.whole_arm
         if searched and not at_floor(result.final_rmse if proven else result.nominal_rmse):
             _describe(case, stage, proven, outcome)
     outcome.repaired, outcome.named = with_coupled_values(case, known, outcome.repaired, outcome.named)
@@ -297,7 +296,7 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
         return Reason.UNCERTAIN
     # Slow errors accumulate beyond a block; friction and payloads are smooth functions of speed and posture, which the
     # discrepancy replaces, without their values.
-    if result.problem.integrates or result.problem.stage in FORCES:
+    if result.problem.kind.integrates or result.problem.kind.is_force:
         return None
     assert result.stage_fit is not None
     less = result.stage_fit.dropped[kept.candidate.label]
@@ -305,19 +304,9 @@ def _refusal(stage: Stage, kept: AcceptedEffect, limits: Array, share: float) ->
 
 
 def _least_share(result: StageResult) -> float:
-    """Least share of the closable gap of a name.
-
-    Of static poses whose errors are independent noise, the region of practical equivalence alone decides on the size of an
-    effect: hundreds of poses determine what moves the tip by half a noise floor, beside offsets that move it by a hundred. The
-    same holds for the links of an arm, whose friction is a large part of the forces, and for a servo whose motion the effects
-    explain: a wrong armature moves it little beside a wrong damping.
-    """
-    fitted = result.stage_fit
-    if result.problem.stage == "links":
-        return float(np.finfo(float).tiny)
-    exact = fitted is not None and fitted.decision.exact
-    framed = fitted is not None and fitted.framed is not None
-    return float(np.finfo(float).tiny) if exact and (framed or "force" in result.problem.within) else SHARE
+    """Least share of the closable gap of a name."""
+    assert result.stage_fit is not None
+    return result.problem.kind.least_share(result.stage_fit.decision.exact)
 
 
 def _use_narrower(outcome: ProofOutcome, found: NamedEffect, instance: KnownEffect) -> None:

@@ -14,7 +14,6 @@ from sysid.gap.candidates import Candidate
 from sysid.gap.decision import NearMiss
 from sysid.gap.fit import place
 from sysid.gap.prepare.case import Stage
-from sysid.gap.problem import STATIC
 from sysid.gap.reasons import Reason
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import as_little
@@ -46,13 +45,13 @@ def with_sensor_scales(stages: Sequence[Stage], search: Search) -> tuple[Stage, 
 
 
 def _named_behind(stages: Sequence[Stage]) -> list[Found]:
-    behind = (stage.found for stage in stages if stage.problem.stage in STATIC)
+    behind = (stage.found for stage in stages if stage.problem.kind.static)
     return [(found, kept.candidate) for found in behind for kept in found.named if kept.candidate.effect.name == SCALE]
 
 
 def _reads(stage: Stage, scales: Sequence[Found]) -> bool:
     """Whether a stage is that of a drive with one of the sensors."""
-    return stage.problem.stage == "command" and any(scale.target in stage.problem.signals for _, scale in scales)
+    return stage.problem.kind.commanded and any(scale.target in stage.problem.signals for _, scale in scales)
 
 
 def _with_scales(drive: Stage, scales: Sequence[Found]) -> Stage:
@@ -84,7 +83,7 @@ def _without(stage: Stage, search: Search, refuted: frozenset[EffectKey]) -> Sta
     """A stage that names a refuted scale, searched without it; the scale is a near miss."""
     before = stage.found
     lost = [kept.candidate for kept in before.named if kept.candidate.key in refuted]
-    if stage.problem.stage not in STATIC or not lost or before.stage_fit is None:
+    if not stage.problem.kind.static or not lost or before.stage_fit is None:
         return stage
     found, model = search(stage, refuted), before.stage_fit.decision.model
     result = found.found

@@ -22,7 +22,6 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.stats import norm
 
-from sysid.datasets.checks.roles import is_pose_set
 from sysid.gap.candidates import Candidate, Unknown, sizes_of
 from sysid.gap.comparison import equivalent_half
 from sysid.gap.data import Data
@@ -30,7 +29,6 @@ from sysid.gap.fit import place, spread_of
 from sysid.gap.intervals import known_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import Case, Stage
-from sysid.gap.problem import STATIC
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import TENTH, Z
@@ -66,15 +64,14 @@ def with_intervals(case: Case, stage: Stage) -> Stage:
     result = stage.found
     if not result.named or result.stage_fit is None:
         return stage
-    regression = is_pose_set(case.dataset) or stage.problem.stage == "links"  # smooth: the posterior is exact
-    if case.adapter is not None or regression:
+    if case.adapter is not None or stage.problem.kind.regression:
         return replace(stage, result=replace(result, limits=limits_of(result)))
     seen = Data(stage.problem, stage.split.seen, stage.sigma)
     own = limits_of(result, _spread_of_parts(seen, stage.theta, result.stage_fit))
     known = known_of(seen, stage.theta, result.fit, case.noise, case.seed)
     limits = _hull(own, known.limits)
     before, after = (spread_of(seen.residuals(f.theta[None])) for f in (result.fit, known.fit))
-    margin = 1.0 if stage.problem.stage in STATIC else TENTH
+    margin = 1.0 if stage.problem.kind.static else TENTH
     fit = known.fit if margin * after < before else result.fit
     return replace(stage, result=replace(result, fit=fit, limits=limits))
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Recording
 from sysid.gap.arm.sag import fewest_sets, sags
 from sysid.gap.candidates import Candidate
+from sysid.gap.data import SearchInput
 from sysid.gap.decision import Decision, decide
 from sysid.gap.free_run import LeastSquares, free_run_of
 from sysid.gap.likelihood.discrepancy import discrepancy_of, timing_alone
@@ -18,10 +18,8 @@ from sysid.gap.likelihood.explained import Explained, explained
 from sysid.gap.likelihood.rows import STATIC_SPAN, StageRows, averaged, averaged_out
 from sysid.gap.likelihood.stage import ModelFit, StageLikelihood, fit_model
 from sysid.gap.likelihood.variances import Start, estimated, first_variances, own_evidence, robust
-from sysid.gap.problem import STATIC, Problem
 from sysid.gap.proposals import Proposals
 from sysid.machine import EffectKey
-from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -109,7 +107,7 @@ class StageSearch:
 
     @property
     def integrates(self) -> bool:
-        return self.proposals.likelihood.rows.problem.integrates
+        return self.proposals.likelihood.rows.problem.kind.integrates
 
     @property
     def independent(self) -> bool:
@@ -145,32 +143,17 @@ class StageSearch:
         return replace(fitted, names_alone=_fitted(proposals, alone, self.free))
 
 
-def search_stage(
-    model: Model,
-    problem: Problem,
-    recordings: Sequence[Recording],
-    theta: Array,
-    sigma: Array,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    on_fit: Callable[[str], None],
-    timing: float,
-) -> StageSearch:
-    """Search one stage.
-
-    Args:
-        sigma: noise floor of each output, (d,).
-        nameable: labels of candidates that the recordings excite enough; the others are compared, but not named.
-        on_fit: called with the labels of each fitted set.
-        timing: error of timing between input and output [s], one standard deviation.
-    """
+def search_stage(given: SearchInput, timing: float) -> StageSearch:
+    """Search one stage; ``timing``: error of timing between input and output [s], one standard deviation."""
+    model, theta, candidates, nameable = given.model, given.theta, given.candidates, given.nameable
+    problem, recordings, sigma = given.seen.problem, given.seen.recordings, given.seen.sigma
     full = recordings[0].rate_hz
     # Means over 0.1 s that are shifted by a clock error are wrong by several noise floors at every start and stop.
     clocks = any(c.effect.target == "stream" for c in candidates)
-    span = STATIC_SPAN if problem.stage in STATIC and not clocks else 0.0
+    span = STATIC_SPAN if problem.kind.static and not clocks else 0.0
     hidden = averaged_out(problem, recordings, theta, sigma, span)
     if span > 0.0:
-        recordings = [averaged(problem.estimated(r), problem.stage) for r in recordings]
+        recordings = [averaged(problem.estimated(r), problem.kind) for r in recordings]
         problem = problem.by_estimates or problem
     rows = StageRows(problem, recordings, theta, sigma, hidden)
     samples = max(1, round(full / recordings[0].rate_hz)) * rows.series[0].width
@@ -179,14 +162,14 @@ def search_stage(
     # Beside a discrepancy, effects that the recordings do not excite would absorb the error of others: they come last there.
     excited = [c for c in candidates if c.label in nameable]
     nothing = timing_alone(rows, timing)
-    free = free_run_of(rows, nothing if problem.integrates else timing_alone(rows, 0.0), candidates)
-    sets = free.smallest(nameable) if problem.integrates else [free.proposals.fit(())]
+    free = free_run_of(rows, nothing if problem.kind.integrates else timing_alone(rows, 0.0), candidates)
+    sets = free.smallest(nameable) if problem.kind.integrates else [free.proposals.fit(())]
     known = dict(free.proposals.fits)
     discrepancy = discrepancy_of(model, rows, theta, timing)
-    variances = first_variances(rows, start, len(discrepancy.groups), FREE_RUN_TAU if problem.integrates else FIRST_TAU)
+    variances = first_variances(rows, start, len(discrepancy.groups), FREE_RUN_TAU if problem.kind.integrates else FIRST_TAU)
     rich = sets[0]
     for _ in range(ROUNDS):
-        first = Proposals(StageLikelihood(rows, discrepancy, variances, extra), excited, on_fit, known)
+        first = Proposals(StageLikelihood(rows, discrepancy, variances, extra), excited, given.on_fit, known)
         rich = first.forward(first.warm(rich.candidates, rich))
         known |= first.fits
         del first, discrepancy  # the largest table of a stage, before the next one
@@ -194,14 +177,14 @@ def search_stage(
         variances = estimated(rows, discrepancy, variances, start, extra, rich)
     variances = robust(StageLikelihood(rows, discrepancy, variances, extra), rich)
     likelihood = StageLikelihood(rows, discrepancy, variances, extra)
-    proposals = Proposals(likelihood, candidates, on_fit, known)
+    proposals = Proposals(likelihood, candidates, given.on_fit, known)
     proposals.warm(rich.candidates, rich)
 
     bare = StageLikelihood(rows, nothing, replace(variances, groups=np.zeros(0)), extra)
-    sagging, smallest = sags(model.machine, problem, excited), tuple(f.labels for f in sets)
+    sagging, smallest = sags(problem, excited), tuple(f.labels for f in sets)
     search = StageSearch(proposals, free, start, bare, tuple(excited), tuple(nameable), sagging, smallest)
     proposals.forward(proposals.best)
-    if not problem.integrates or search.discrepancy_gain(proposals.best) < MISSPECIFIED:
+    if not problem.kind.integrates or search.discrepancy_gain(proposals.best) < MISSPECIFIED:
         proposals.around()
     for fit in sets:
         proposals.warm(fit.candidates, fit)
@@ -232,7 +215,7 @@ def _start(rows: StageRows, sigma: Array, samples: int) -> Start:
         noise[k] = max(float(sigma[k]) / np.sqrt(samples), 1e-12)
         output = np.concatenate([s.measured for s in parts])
         slopes = np.concatenate([np.diff(s.measured) / s.step[1:] for s in parts])
-        if rows.problem.integrates:
+        if rows.problem.kind.integrates:
             typical[k] = TYPICAL * float(np.sqrt(np.nanmean(slopes**2)))
         else:
             typical[k] = TYPICAL * 0.3 * float(np.nanmax(output) - np.nanmin(output))
@@ -245,7 +228,7 @@ def _transients(rows: StageRows) -> list[Array]:
     found = []
     for s in rows.series:
         extra = np.zeros(len(s.step))
-        if rows.problem.integrates:
+        if rows.problem.kind.integrates:
             fast = float(np.nanpercentile(np.abs(np.diff(s.measured) / s.step[1:]), 95))
             for begin in np.flatnonzero(s.restart):
                 count = max(1, round(TRANSIENT / max(float(np.median(s.step)), 1e-6)))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
-from sysid.datasets.checks.roles import is_pose_set
-from sysid.datasets.recording import Recording
 from sysid.effects import clock_offset, inertia_error, input_delay, load_bias
 from sysid.gap.alternatives import search_alternatives
 from sysid.gap.arm.link_rows import CERTAIN
@@ -21,27 +19,25 @@ from sysid.gap.arm.pose_stage import fit_pose_stage
 from sysid.gap.arm.posture import posture_share
 from sysid.gap.candidates import Candidate, adjusted_link
 from sysid.gap.comparison import difference
-from sysid.gap.data import Data
+from sysid.gap.data import Data, SearchInput
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
 from sysid.gap.likelihood.stage import ModelFit
 from sysid.gap.prepare.case import Case, Stage, on_itself, stage_candidates
 from sysid.gap.prepare.clocks import open_offset
-from sysid.gap.problem import STATIC, Problem
+from sysid.gap.problem import Problem
 from sysid.gap.reasons import Reason
 from sysid.gap.result import ComparedModel, EffectEvidence
 from sysid.gap.sensor_scales import SCALE
+from sysid.gap.stage_kind import LINKS, POSES
 from sysid.gap.stage_model import StageFit, search_stage
 from sysid.gap.stage_result import AcceptedEffect, StageResult
-from sysid.gap.statement import AGREES
-from sysid.gap.thresholds import as_little, at_floor
+from sysid.gap.thresholds import as_little
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.progress import Progress
 
 Array = npt.NDArray[np.float64]
-#: Stage of the links of an arm.
-LINKS = "links"
 
 #: Standard deviation of an error of timing between input and output, in samples of the log: the uncertainty of sample-and-hold.
 #: Where the order of command and sample is stated, there is none between a command and its motion.
@@ -65,22 +61,6 @@ class FitCount:
         self.progress(share, f"{self.label}: {text}")
 
 
-@dataclass(frozen=True)
-class Offer:
-    """What the search of a stage begins with.
-
-    Args:
-        nameable: labels of the candidates that the recordings excite enough.
-        nominal: error of the plant under test, in noise floors.
-    """
-
-    candidates: Sequence[Candidate]
-    nameable: Sequence[str]
-    seen: Data
-    nominal: float
-    fits: FitCount
-
-
 def find_stage(
     case: Case, stage: Stage, forms: Forms, progress: Progress, refuted: frozenset[EffectKey] = frozenset()
 ) -> StageResult:
@@ -90,44 +70,42 @@ def find_stage(
     problem = stage.problem if case.adapter is None else case.adapter.search_problem(stage.problem)
     seen = Data(problem, stage.split.seen, stage.sigma)
     nominal = spread_of(seen.residuals(stage.theta[None]))
-    # What agrees by the verdict cannot pay the price of an effect. Errors of poses are independent, and masses have many rows.
-    agrees = at_floor(nominal) if is_pose_set(case.dataset) else nominal <= AGREES
-    if agrees and problem.stage != LINKS:
+    if problem.kind.agrees(nominal):
         progress(1.0, stage.label)
         return StageResult(problem, (), (), _fit(seen, (), stage.theta), nominal, nominal)
-    fits = FitCount(progress, stage.label)
     offered = (c for c in stage_candidates(case, stage) if c.key not in refuted)
     candidates = [c for c in offered if forms == "all" or c.form is c.effect.forms[0]]
     nameable = [c.label for c in candidates if excitation_of(c, stage.split.seen, machine).sufficient]
-    if problem.stage == LINKS:
-        result = _found_in_links(case, stage, Offer(candidates, nameable, seen, nominal, fits))
-    elif is_pose_set(case.dataset):
-        result = _found_in_poses(case, stage, Offer(candidates, nameable, seen, nominal, fits))
-    else:
-        model, equivalence = compile_plant(case.plant), _equivalence(case, candidates)
-        stated = case.order is not None and case.order.source == "stated" and problem.stage == "command"
-        timing = 0.0 if stated else TIMING / stage.split.seen[0].rate_hz
-        shared = [c.label for c in candidates if problem.stage in STATIC and c.key in _scales_of_drives(case)]
-
-        def search(some: Sequence[Candidate]) -> StageFit:
-            seen_by = problem, stage.split.seen, stage.theta, stage.sigma
-            return search_stage(model, *seen_by, some, nameable, fits, timing).decided(equivalence, shared)
-
-        fitted = search_alternatives(seen, stage.theta, candidates, search)
-        if problem.stage == "force":
-            fitted = _beside_links(case, stage, _without_masses(case, stage, fitted))
-        result = _result(problem, seen, _adjusted_to_free_run(seen, fitted), nominal)
+    search = {LINKS: _found_in_links, POSES: _found_in_poses}.get(problem.kind, _found_in_motion)
+    count = FitCount(progress, stage.label)
+    result = search(
+        case, stage, SearchInput(compile_plant(case.plant), seen, stage.theta, candidates, nameable, count), nominal
+    )
     progress(1.0, stage.label)
     return result if problem is stage.problem else on_itself(result, stage, stage.theta)
 
 
-def _found_in_links(case: Case, stage: Stage, offer: Offer) -> StageResult:
+def _found_in_motion(case: Case, stage: Stage, given: SearchInput, nominal: float) -> StageResult:
+    """The result of a stage whose formulas may be wrong: beside a discrepancy."""
+    seen, candidates = given.seen, given.candidates
+    kind, equivalence = seen.problem.kind, _equivalence(case, candidates)
+    stated = case.order is not None and case.order.source == "stated" and kind.commanded
+    timing = 0.0 if stated else TIMING / stage.split.seen[0].rate_hz
+    shared = [c.label for c in candidates if kind.static and c.key in _scales_of_drives(case)]
+
+    def search(some: Sequence[Candidate]) -> StageFit:
+        return search_stage(replace(given, candidates=some), timing).decided(equivalence, shared)
+
+    fitted = search_alternatives(seen, given.theta, candidates, search)
+    if kind.is_force:
+        fitted = _beside_links(case, stage, _without_masses(case, stage, fitted))
+    return _result(seen.problem, seen, _adjusted_to_free_run(seen, fitted), nominal)
+
+
+def _found_in_links(case: Case, stage: Stage, given: SearchInput, nominal: float) -> StageResult:
     """The result of the links of an arm; errors of their inertial parameters are adjusted without a name."""
-    model = compile_plant(case.plant)
-    seen_by = stage.problem, stage.split.seen, stage.theta, stage.sigma
-    fitted = fit_links_stage(model, *seen_by, offer.candidates, offer.nameable, offer.fits)
-    result = _result(stage.problem, offer.seen, fitted, offer.nominal)
-    off = [adjusted_link(case.plant, stage.theta, name) for name in links_adjusted(model, result.fit.theta, stage.theta)]
+    result = _result(stage.problem, given.seen, fit_links_stage(given), nominal)
+    off = [adjusted_link(case.plant, stage.theta, name) for name in links_adjusted(given.model, result.fit.theta, stage.theta)]
     unknowns = (*result.fit.unknowns, *(u for c in off for u in c.unknowns))
     values = np.array([*result.fit.values, *(result.fit.theta[u.places[0]] for c in off for u in c.unknowns)])
     fit = replace(result.fit, candidates=(*result.fit.candidates, *off), unknowns=unknowns, values=values)
@@ -184,20 +162,15 @@ def _adjusted_to_free_run(seen: Data, fitted: StageFit) -> StageFit:
     return replace(fitted, decision=replace(decision, model=adjusted))
 
 
-def _found_in_poses(case: Case, stage: Stage, offer: Offer) -> StageResult:
+def _found_in_poses(case: Case, stage: Stage, given: SearchInput, nominal: float) -> StageResult:
     """The result of static poses; with folds, each fold is predicted by a search without it."""
-    model, problem = compile_plant(case.plant), offer.seen.problem
-
-    def fitted_to(recordings: Sequence[Recording]) -> StageFit:
-        seen_by = problem, recordings, stage.theta, stage.sigma
-        return fit_pose_stage(model, *seen_by, offer.candidates, offer.nameable, offer.fits)
-
-    whole = fitted_to(stage.split.seen)
-    result = _result(problem, offer.seen, whole, offer.nominal)
+    problem, whole = given.seen.problem, fit_pose_stage(given)
+    result = _result(problem, given.seen, whole, nominal)
     if not are_folds(stage.split.fit, stage.split.held_out):
         return result
     folds = dict.fromkeys(fold_of(r) for r in stage.split.fit)
-    parts = {k: fitted_to([r for r in stage.split.fit if fold_of(r) != k]) for k in folds}
+    kept = {k: replace(given.seen, recordings=[r for r in stage.split.fit if fold_of(r) != k]) for k in folds}
+    parts = {k: fit_pose_stage(replace(given, seen=seen)) for k, seen in kept.items()}
     known = [(whole.decision.model.theta, {k: part.decision.model.theta for k, part in parts.items()})]
     if whole.framed is not None:
         known.append((whole.framed.theta, {k: part.framed.theta for k, part in parts.items() if part.framed is not None}))

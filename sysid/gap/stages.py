@@ -19,7 +19,7 @@ from sysid.gap.prepare.noise import shown_floor
 from sysid.gap.search_tasks import SearchTasks
 from sysid.gap.sensor_scales import with_sensor_scales
 from sysid.gap.stage_result import StageResult
-from sysid.gap.stage_search import LINKS, Forms, find_stage
+from sysid.gap.stage_search import Forms, find_stage
 from sysid.machine import EffectKey
 from sysid.plant import compile_plant
 from sysid.plant.model import WORKERS, core_taken
@@ -48,12 +48,14 @@ def _independent(
 
     The links of an arm come first: the axes are searched with the masses found.
     """
-    links = [stage for stage in stages if stage.problem.stage == LINKS]
+    links = [stage for stage in stages if stage.problem.kind.whole_arm]
     if links:
         first = replace(links[0], result=find_stage(case, links[0], forms, lambda share, text: progress(0.1 * share, text)))
-        rest = [_with_links(s, first) for s in stages if s.problem.stage != LINKS]
+        rest = [_with_links(s, first) for s in stages if not s.problem.kind.whole_arm]
         return (first, *_independent(case, rest, forms, part(progress, 0.1, 1.0), tasks))
-    stages = [_with_shown_floor(case, stage) for stage in stages]
+    model = compile_plant(case.plant)
+    floors = (shown_floor(model, s.problem, s.split.seen, s.theta, s.sigma) for s in stages)
+    stages = [replace(stage, sigma=floor) for stage, floor in zip(stages, floors, strict=True)]
     coupled = [k for k, stage in enumerate(stages) if stage.problem.carried]
     apart = [k for k in range(len(stages)) if k not in coupled]
     found, share, turns = list(stages), len(apart) / max(len(stages), 1), itertools.count(1)
@@ -106,17 +108,9 @@ def _in_threads(case: Case, stages: Sequence[Stage], forms: Forms, progress: Pro
     return found
 
 
-def _with_shown_floor(case: Case, stage: Stage) -> Stage:
-    """A force stage with the noise floor that its recordings show, where that of the sensors is larger."""
-    if stage.problem.stage != "force":
-        return stage
-    model = compile_plant(case.plant)
-    return replace(stage, sigma=shown_floor(model, stage.problem, stage.split.seen, stage.theta, stage.sigma))
-
-
 def _with_links(stage: Stage, links: Stage) -> Stage:
-    """A stage with the masses that the links stage found where it is a force axis."""
-    if stage.problem.stage != "force":
+    """A stage with the masses that the links stage found where its force is one of theirs."""
+    if stage.problem.signals[0] not in links.problem.signals:
         return stage
     fit = links.found.stage_fit
     loads = fit.open_loads if fit is not None else {}
@@ -132,7 +126,7 @@ def _one_by_one(
         stage_progress = part(progress, k / len(stages), (k + 1) / len(stages))
         prepared = replace(stage, problem=adapter.with_input_effects(stage.problem, theta))
         found.append(replace(prepared, result=find_stage(case, prepared, forms, stage_progress)))
-        if stage.problem.stage == "command":
+        if stage.problem.kind.commanded:
             fitted = found[-1].found.fit.theta
             theta = np.where(fitted != case.theta, fitted, theta)
     return tuple(found)

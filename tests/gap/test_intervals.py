@@ -37,7 +37,7 @@ def known(
         dataset = shifted(dataset, noise / frames**0.5, np.random.default_rng(seed))
     model, split = compile_plant(plant), split_of(dataset)
     problem: Problem = next(p for p in problems_of(model, dataset) if truth.target in p.targets and p.stage == stage)
-    offered = candidates_at(plant, model.theta, problem.stages, (truth.target,))
+    offered = candidates_at(plant, model.theta, problem.kind.stages, (truth.target,))
     candidate = next(c for c in offered if c.effect.name == truth.name)
     levels = {signal: noise * level for signal, level in dataset.machine.noise.items()}
     sigma = np.array([levels[signal] for signal in problem.signals])

@@ -19,6 +19,7 @@ from sysid.gap.prepare.case import Stage
 from sysid.gap.prepare.resolution import CoarseSensor
 from sysid.gap.reasons import Reason
 from sysid.gap.stage_intervals import interval_of, may_be_absent, simultaneous, with_intervals_of
+from sysid.gap.stage_kind import FORCE, JOINT, LINKS, POSITION, SPEED
 from sysid.gap.stage_model import StageFit
 from sysid.gap.stage_result import StageResult
 from sysid.gap.thresholds import Z
@@ -193,7 +194,7 @@ def test_where_errors_accumulate_a_name_is_tested_without_what_is_adjusted_besid
         return SimpleNamespace(theta=np.array([value]))
 
     def pairs(found: Any) -> list[tuple[float, float]]:
-        stage: Any = SimpleNamespace(found=found, nominal=vector(0.0), problem=SimpleNamespace(integrates=accumulates))
+        stage: Any = SimpleNamespace(found=found, nominal=vector(0.0), problem=_problem(accumulates))
         return [(less.theta.item(), model.theta.item()) for less, model in comparisons_without(stage, "rate")]
 
     if not accumulates:
@@ -234,7 +235,7 @@ def test_one_comparison_on_recordings_left_out_has_to_be_worth_the_price(
     fitted = StageFit((), model, {"oil(boom)": vector(alone[0])}, unused, unused, beside=beside)
     name: Any = SimpleNamespace(candidate=SimpleNamespace(label="oil(boom)", target="boom"))
     result = StageResult(unused, (name,), (), vector(alone[1]), 1.0, 1.0, stage_fit=fitted)
-    problem: Any = SimpleNamespace(stage="command", target="boom", integrates=True)
+    problem: Any = SimpleNamespace(stage="command", target="boom", kind=SPEED)
     stage = Stage(problem, SimpleNamespace(seen=(), held_out=()), np.ones(1), np.array([20.0]), result)  # type: ignore[arg-type]
     found = without_cheap_names(stage)
     assert bool(found.found.named) is kept
@@ -334,15 +335,19 @@ def test_blocks_have_to_be_predicted_clearly_better_with_an_effect_where_errors_
     monkeypatch.setattr(proof, "may_be_absent", lambda *_: False)
     monkeypatch.setattr(proof, "_least_share", lambda _: 0.01)
     whole, less = (SimpleNamespace(predictive=np.array(each)) for each in (gains, [0.0] * len(gains)))
-    for name, expected in (("joint", refused), ("force", None), ("links", None)):
+    for kind, expected in ((JOINT, refused), (FORCE, None), (LINKS, None)):
         stage = _stage(False)
-        stage.found.problem.stage = name
+        stage.found.problem.kind = kind
         stage.found.stage_fit = SimpleNamespace(decision=SimpleNamespace(model=whole), dropped={"leak": less})
         assert proof._refusal(stage, _kept(), np.empty(0), 0.5) == expected
 
 
+def _problem(integrates: bool) -> SimpleNamespace:
+    return SimpleNamespace(kind=SPEED if integrates else POSITION)
+
+
 def _stage(integrates: bool, accumulates: bool = False) -> Any:
-    result = SimpleNamespace(accumulates=accumulates, names_alone=None, problem=SimpleNamespace(integrates=integrates))
+    result = SimpleNamespace(accumulates=accumulates, names_alone=None, problem=_problem(integrates))
     return SimpleNamespace(found=result)
 
 

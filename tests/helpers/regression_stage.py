@@ -19,6 +19,7 @@ from sysid.gap.likelihood.disturbance import Disturbance
 from sysid.gap.likelihood.rows import StageRows
 from sysid.gap.likelihood.stage import StageLikelihood, Variances
 from sysid.gap.problem import Problem
+from sysid.gap.stage_kind import JOINT
 
 Array = npt.NDArray[np.float64]
 SIGNAL = "boom.joint"
@@ -66,8 +67,8 @@ def problem() -> Problem:
         return (functions(recording.values("clock")) @ thetas.T).T[:, :, None]
 
     return Problem(
-        "joint", "boom", ("boom",), (SIGNAL,), predict,
-        lambda recording: recording.values(SIGNAL)[:, None], lambda recording: np.arange(len(recording)),
+        JOINT, "boom", ("boom",), (SIGNAL,), predict,
+        lambda recording: recording.values(SIGNAL)[:, None], lambda recording: np.arange(len(recording)), lambda *_: problem(),
     )  # fmt: skip
 
 

@@ -24,7 +24,8 @@ from sysid.gap.adapters.identification import Surrogate, fit_surrogate, identify
 from sysid.gap.adapters.input_output_effects import apply_input_effects, apply_output_effects
 from sysid.gap.adapters.simulator import RunCache, Signals, Simulator, SteppedSimulator, command_signals
 from sysid.gap.prepare.noise import noise_levels
-from sysid.gap.problem import Problem, problems_of, split_of
+from sysid.gap.problem import Problem, joint_problem, problems_of, split_of, tip_problem, tool_problem
+from sysid.gap.stage_kind import POSES, TIP, TOOL
 from sysid.machine import KnownEffect, Machine
 from sysid.plant import Model, Plant, compile_plant, nominal_plant
 from sysid.plant.stretches import common_stretches, held
@@ -100,7 +101,7 @@ class SimulatorAdapter:
 
     def search_problem(self, problem: Problem) -> Problem:
         """The stage that is searched: the surrogate of the axis where it is accurate, else the stage itself."""
-        surrogate = self._surrogates.get(problem.target) if problem.stage == "command" else None
+        surrogate = self._surrogates.get(problem.target) if problem.kind.commanded else None
         return surrogate.problem if surrogate is not None and surrogate.accurate else problem
 
     def free_run(self, plant: Plant, recording: Recording) -> pd.DataFrame:
@@ -113,6 +114,10 @@ class SimulatorAdapter:
             for k, signal in enumerate(signals):
                 columns[signal] = seen[signal] = values[0, :, k]
 
+        def behind(problem: Problem) -> Array:
+            at = replace(recording, table=seen)
+            return problem.predict(thetas, at) + self._discrepancy(problem, thetas, recording)
+
         for axis in self.machine.axes:
             joint = axis_signal(axis.name, "joint")
             if axis.driven in known:
@@ -120,8 +125,7 @@ class SimulatorAdapter:
             if axis.drives == "cylinder" and joint in known:
                 values = self._signals(thetas, recording, (joint,))
                 if axis.name in self._model.linked:
-                    own = self._model.joint(thetas, replace(recording, table=seen), axis.name)[:, :, None]
-                    values = own + self._discrepancy("joint", axis.name, thetas, recording)
+                    values = behind(joint_problem(self._model, axis))
                 put((joint,), values)
             speed = axis_signal(axis.name, "speed")
             if speed in recording.signals and speed in known:
@@ -133,12 +137,10 @@ class SimulatorAdapter:
         if known.issuperset(ee):
             values = self._signals(thetas, recording, ee)
             if self._kinematic:
-                at = replace(recording, table=seen)
-                values = self._model.tip(thetas, at) + self._discrepancy("end_effector", "ee", thetas, recording)
+                values = behind(tip_problem(self._model))
             put(ee, values)
         if known.issuperset(ee) and self._model.has_tool(thetas[0], recording):
-            at = replace(recording, table=seen)
-            put(tool, self._model.tool(thetas, at) + self._discrepancy("tool", "tool", thetas, recording))
+            put(tool, behind(tool_problem(self._model)))
         elif known.issuperset(tool):
             put(tool, self._signals(thetas, recording, tool))
         return pd.DataFrame(columns)
@@ -179,17 +181,14 @@ class SimulatorAdapter:
         return self._model.posed and self.signals.issuperset((*joints, *point_signals("ee")))
 
     def _covers(self, problem: Problem) -> bool:
-        if problem.stage == "force":
-            return False
-        if problem.stage == "end_effector":
-            return self._kinematic
-        if problem.stage == "tool":
-            return self.signals.issuperset(point_signals("ee"))
-        return self.signals.issuperset(problem.signals)
+        """Whether the simulator returns what the stage is compared by; it returns no forces."""
+        inputs, outputs = problem.inputs, problem.signals
+        needed = {TIP: (*inputs, *outputs), POSES: (*inputs, *outputs), TOOL: inputs}.get(problem.kind, outputs)
+        return self.signals.issuperset(needed)
 
     def _problem(self, problem: Problem, dataset: Dataset) -> Problem:
         """A stage of the plant, turned into one of the simulator."""
-        if problem.stage == "command":
+        if problem.kind.commanded:
             axis = problem.target
             own = replace(problem, predict=partial(self._drive, axis=axis), short=None)
             (driven,), neutral = problem.signals, self._model.theta[None]
@@ -208,7 +207,7 @@ class SimulatorAdapter:
         def predict(thetas: Array, recording: Recording) -> Array:
             found = known.get(id(recording))
             if found is None or found[0] is not recording:
-                own = self._discrepancy(problem.stage, problem.target, theta[None], recording)
+                own = self._discrepancy(problem, theta[None], recording)
                 found = known[id(recording)] = recording, own
             return problem.predict(thetas, recording) + found[1]
 
@@ -224,27 +223,13 @@ class SimulatorAdapter:
         out = apply_output_effects(self._model, thetas, simulated, measured, load, axis, stretches, recording.rate_hz)
         return self._model.sensed(thetas, driven, out, 1.0 / recording.rate_hz)[:, :, None]
 
-    def _discrepancy(self, stage: str, target: str, thetas: Array, recording: Recording) -> Array:
+    def _discrepancy(self, problem: Problem, thetas: Array, recording: Recording) -> Array:
         """Of the simulator from the plant's stage, (1, n, d); zero where it does not return both ends of the stage."""
-        inputs, outputs = self._ends(stage, target)
-        if not self.signals.issuperset((*inputs, *outputs)):
-            return np.zeros((1, 1, len(outputs)))
-        at, neutral = self._as_simulated(thetas, recording, inputs), self._model.theta[None]
-        if stage == "joint":
-            own = self._model.joint(neutral, at, target)[:, :, None]
-        else:
-            own = self._model.tip(neutral, at) if stage == "end_effector" else self._model.tool(neutral, at)
-        return self._signals(thetas, recording, outputs) - own
-
-    def _ends(self, stage: str, target: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Signals on which a stage of the plant depends, and those that it predicts."""
-        ee, tool = point_signals("ee"), point_signals("tool")
-        if stage == "joint":
-            joint = axis_signal(target, "joint")
-            return (self.machine.axis(target).driven, joint), (joint,)
-        if stage == "end_effector":
-            return tuple(axis_signal(name, "joint") for name in self.machine.axis_names), ee
-        return (*ee, *tool), tool
+        ends = (*problem.inputs, *problem.signals)
+        if not self.signals.issuperset(ends):
+            return np.zeros((1, 1, len(problem.signals)))
+        own = problem.predict(self._model.theta[None], self._as_simulated(thetas, recording, ends))
+        return self._signals(thetas, recording, problem.signals) - own
 
     # -- runs ----------------------------------------------------------------------------------------------------------
 

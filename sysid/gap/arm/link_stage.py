@@ -16,7 +16,6 @@ from functools import cache, partial
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Recording
 from sysid.effects import inertial_error
 from sysid.gap.arm.effect_sets import GAIN, Index, Set, densities_of_blocks, gain_of_errors, places, unknowns_of
 from sysid.gap.arm.forces import CONSTANT, FRICTION, fitted, without
@@ -37,12 +36,12 @@ from sysid.gap.arm.link_rows import (
     with_carried,
 )
 from sysid.gap.candidates import Candidate
+from sysid.gap.data import SearchInput
 from sysid.gap.decision import Decision, NearMiss
 from sysid.gap.fit import place
 from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.gaussian_regression import GaussianRegression, Posterior, Sizes
 from sysid.gap.likelihood.stage import ModelFit, Prior, prior_of
-from sysid.gap.problem import Problem
 from sysid.gap.reasons import Reason
 from sysid.gap.stage_model import StageFit
 from sysid.gap.thresholds import BLOCK_NATS, LEAST
@@ -63,25 +62,17 @@ ROUNDS = 3
 STEPS, SETTLED = 8, 0.01
 
 
-def fit_links_stage(
-    model: Model,
-    problem: Problem,
-    recordings: Sequence[Recording],
-    theta: Array,
-    sigma: Array,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    on_fit: Callable[[str], None],
-) -> StageFit:
-    """Search and decide the links; arguments as of :func:`sysid.gap.stage_model.search_stage`."""
-    there = [c for c in candidates if c.label in nameable]
-    rows = axis_rows(model, problem, recordings, theta)
-    whole = _Whole(model, rows, theta, sigma, there)
-    best = _likeliest(whole, on_fit)
+def fit_links_stage(given: SearchInput) -> StageFit:
+    """Search and decide the links."""
+    model, seen, theta = given.model, given.seen, given.theta
+    there = [c for c in given.candidates if c.label in given.nameable]
+    rows = axis_rows(model, seen.problem, seen.recordings, theta)
+    whole = _Whole(model, rows, theta, seen.sigma, there)
+    best = _likeliest(whole, given.on_fit)
     for _ in range(ROUNDS if best else 0):  # a payload that is found loads the joints, and with them their friction
-        rows = with_carried(rows, model, problem, recordings, whole.model_of(best).theta)
-        before, whole = best, _Whole(model, rows, theta, sigma, there)
-        best = _likeliest(whole, on_fit)
+        rows = with_carried(rows, model, seen.problem, seen.recordings, whole.model_of(best).theta)
+        before, whole = best, _Whole(model, rows, theta, seen.sigma, there)
+        best = _likeliest(whole, given.on_fit)
         if best == before:
             break
     return _decided(whole, best)

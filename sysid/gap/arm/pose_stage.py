@@ -19,19 +19,17 @@ from functools import cache, cached_property, partial
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Recording
 from sysid.gap.arm.effect_sets import GAIN, Index, Set, densities_of_blocks, gain_of_errors, places, unknowns_of
 from sysid.gap.arm.pose_rows import PoseRows
 from sysid.gap.candidates import Candidate
+from sysid.gap.data import SearchInput
 from sysid.gap.decision import Decision, FreeRun, decide
 from sysid.gap.fit import place
 from sysid.gap.likelihood.explained import Explained
 from sysid.gap.likelihood.gaussian_regression import NOISE_SPREAD, UNDETERMINED, GaussianRegression, Posterior, Sizes
 from sysid.gap.likelihood.stage import ModelFit, prior_of
-from sysid.gap.problem import Problem
 from sysid.gap.stage_model import StageFit
 from sysid.gap.thresholds import LEAST
-from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -52,23 +50,15 @@ LEAST_WEIGHT, MOST_MEMBERS = 0.3, 4
 TURNS = 50
 
 
-def fit_pose_stage(
-    model: Model,
-    problem: Problem,
-    recordings: Sequence[Recording],
-    theta: Array,
-    sigma: Array,
-    candidates: Sequence[Candidate],
-    nameable: Sequence[str],
-    on_fit: Callable[[str], None],
-) -> StageFit:
-    """Search and decide the end-effector stage of static poses; arguments as of :func:`sysid.gap.stage_model.search_stage`.
+def fit_pose_stage(given: SearchInput) -> StageFit:
+    """Search and decide the end-effector stage of static poses.
 
     Effects that the poses do not excite are left out: they would absorb the errors of others. The frame of the measurement
     stays, whether the poses determine it or not.
     """
-    rows = PoseRows(model, problem, recordings, theta, sigma)
-    there = [c for c in candidates if c.label in nameable or c.effect.target in MEASUREMENT]
+    seen, nameable, on_fit = given.seen, given.nameable, given.on_fit
+    rows = PoseRows(given.model, seen.problem, seen.recordings, given.theta, seen.sigma)
+    there = [c for c in given.candidates if c.label in nameable or c.effect.target in MEASUREMENT]
     fitting = _Fitting(rows, there)
     search, best = fitting.converged(on_fit)
     fitting.weights = rows.weights(fitting.residual(search, best))

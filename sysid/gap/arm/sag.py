@@ -175,11 +175,9 @@ def _probability(error: Array, less: Array, more: Array) -> float:
     return float(stats.f.sf((squares[0] - squares[1]) / further / (squares[1] / free), further, free))
 
 
-def sags(machine: Machine, problem: Problem, candidates: Sequence[Candidate]) -> bool:
+def sags(problem: Problem, candidates: Sequence[Candidate]) -> bool:
     """Whether the stage is that of a position axis that may sag under a gravity moment that the recordings vary."""
-    if problem.stage != "command" or machine.axis(problem.target).actuation != "position":
-        return False
-    return any(c.effect is joint_compliance.EFFECT for c in candidates)
+    return problem.kind.sags and any(c.effect is joint_compliance.EFFECT for c in candidates)
 
 
 def fewest_sets(model: ModelFit, candidates: Sequence[Candidate], refit: Refit) -> list[ModelFit]:

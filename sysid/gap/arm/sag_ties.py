@@ -82,10 +82,7 @@ def sag_replaces(case: Case, stage: Stage) -> bool:
 
 def _of_servo(case: Case, stage: Stage) -> bool:
     """Whether it is the stage of a position axis of a plant."""
-    problem = stage.problem
-    if case.adapter is not None or problem.stage != "command":
-        return False
-    return case.plant.machine.axis(problem.target).actuation == "position"
+    return case.adapter is None and stage.problem.kind.sags
 
 
 def _load_unknown(case: Case, stage: Stage) -> bool:

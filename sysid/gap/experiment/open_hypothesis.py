@@ -28,7 +28,7 @@ from sysid.gap.excitation import excitation_of
 from sysid.gap.experiment.experiment import EffectAt
 from sysid.gap.fit import Fit, fit_candidates, jacobian, place, starting_values
 from sysid.gap.prepare.case import Case, Stage, stage_candidates
-from sysid.gap.problem import FORCES, Problem
+from sysid.gap.problem import Problem
 from sysid.gap.proof import ProofOutcome
 from sysid.gap.thresholds import at_floor
 from sysid.plant import compile_plant
@@ -108,7 +108,7 @@ def open_hypotheses(case: Case, stages: Sequence[Stage], outcome: ProofOutcome) 
     base = model.theta
     searched = [stage for stage in stages if stage.result is not None]
     if model.rigid is not None:  # motions are planned for one axis; the forces of an arm depend on all of them
-        searched = [stage for stage in searched if stage.problem.stage not in FORCES]
+        searched = [stage for stage in searched if not stage.problem.kind.is_force]
     found = []
     for stage in searched:
         seen = Data(stage.problem, stage.split.seen, stage.sigma)
@@ -283,7 +283,7 @@ def estimated_drifts(data: Data, bins: Sequence[Array]) -> tuple[tuple[DriftStre
 
 
 def _memory(problem: Problem) -> float:
-    return 1.0 if problem.integrates else MEMORY
+    return 1.0 if problem.kind.integrates else MEMORY
 
 
 def _activity(problem: Problem, recording: Recording) -> Array:
@@ -292,7 +292,7 @@ def _activity(problem: Problem, recording: Recording) -> Array:
     Flow disturbances grow with the flow: a drive drifts in motion and hardly at rest.
     """
     measured = to_bins(problem.measured(recording), problem.rate(recording))
-    if not problem.integrates or len(measured) < 3:
+    if not problem.kind.integrates or len(measured) < 3:
         return np.ones(len(measured))
     rows = np.arange(len(measured))
     there = ~np.isnan(measured[:, 0])

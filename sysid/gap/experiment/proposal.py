@@ -18,15 +18,7 @@ from sysid.gap.experiment.experiment import Experiment, Limits, Purpose, outside
 from sysid.gap.experiment.motions import MOTIONS, FeasibleSet, MotionPattern, feasible_set_of, limits_of
 from sysid.gap.experiment.open_hypothesis import OpenHypothesis, PlausibleModel, discrimination, precision
 from sysid.gap.prepare.case import Case
-from sysid.gap.problem import (
-    Problem,
-    drive_problem,
-    force_determined,
-    force_problem,
-    joint_problem,
-    tip_problem,
-    tool_problem,
-)
+from sysid.gap.problem import Problem
 from sysid.names import listed
 from sysid.plant import Model, Plant, compile_plant
 from sysid.plant.force import ForceFilter
@@ -245,16 +237,9 @@ class Planner:
 
     def _problem(self, hypothesis: OpenHypothesis, recording: Recording) -> Problem | None:
         """The stage of the hypothesis for a simulated recording; None where that is too short to determine a force."""
-        stage = hypothesis.stage.problem
-        if stage.stage == "force":
-            settings = replace(stage.force_filter or ForceFilter(), delay=0.0)
-            axis = self.machine.axis(stage.target)
-            determined = force_determined(recording, axis, 0.0, settings)
-            return force_problem(self.model, axis, [recording], settings) if determined else None
-        if stage.stage in ("command", "joint"):
-            make = drive_problem if stage.stage == "command" else joint_problem
-            return make(self.model, self.machine.axis(stage.target))
-        return tip_problem(self.model) if stage.stage == "end_effector" else tool_problem(self.model)
+        known = hypothesis.stage.problem
+        problem = known.again(self.model, [recording], replace(known.force_filter or ForceFilter(), delay=0.0))
+        return None if problem.only == frozenset() else problem
 
     def _simulate(self, excitation: ExcitationSignal, theta: Array, measured: frozenset[str] | None = None) -> Recording:
         model = replace(self.model, theta=theta)

@@ -51,7 +51,7 @@ def input_noise(
 ) -> InputNoise | None:
     """Effect on a fit at ``values`` (k,); None where the stage has no measured input with noise."""
     problem = criterion.data.problem
-    if problem.stage == "command":  # its input is what was sent
+    if problem.kind.commanded:
         return None
     inputs = {s: level for s, level in noise.items() if s not in problem.signals and split_signal(s)[1] != "command"}
     estimated = problem.estimated if problem.by_estimates is not None else lambda recording: smoothed(recording, inputs)

@@ -31,7 +31,6 @@ from sysid.gap.fit import GRID, Fit, place
 from sysid.gap.intervals.criterion import Criterion, Curvature, criterion_at, curvature_at
 from sysid.gap.intervals.input_noise import DRAWS, InputNoise, input_noise
 from sysid.gap.intervals.profile import profiled
-from sysid.gap.problem import STATIC
 from sysid.signals import split_signal
 
 Array = npt.NDArray[np.float64]
@@ -196,7 +195,7 @@ def shared_offsets(criterion: Criterion, curvature: Curvature, values: Array, no
     """
     problem, recordings = criterion.data.problem, criterion.data.recordings
     squares = np.zeros(len(values))
-    if problem.stage not in STATIC:
+    if not problem.kind.static:
         return squares
     made = criterion.predicted(values, recordings)
     gain = curvature.inverse @ (curvature.slopes * criterion.weights(curvature.errors)[:, None]).T

@@ -13,8 +13,8 @@ import pandas as pd
 
 from sysid.compiled import kernel, summing
 from sysid.datasets.recording import Recording
-from sysid.effects.effect import Stage
-from sysid.gap.problem import STATIC, Problem
+from sysid.gap.problem import Problem
+from sysid.gap.stage_kind import StageKind
 from sysid.plant.stretches import held
 from sysid.signals import axis_signal
 
@@ -268,9 +268,9 @@ def bin_means(values: Array, width: int) -> Array:
     return out
 
 
-def averaged(recording: Recording, stage: Stage) -> Recording:
-    """The recording averaged over the span of the stage."""
-    width = round((STATIC_SPAN if stage in STATIC else 0.0) * recording.rate_hz)
+def averaged(recording: Recording, kind: StageKind) -> Recording:
+    """The recording averaged over the span of its kind of stage."""
+    width = round((STATIC_SPAN if kind.static else 0.0) * recording.rate_hz)
     if recording.kind != "motion" or width < 2:
         return recording
     means = bin_means(recording.table.to_numpy(dtype=float)[None], width)[0]
@@ -303,7 +303,7 @@ def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array
 
 def _width(problem: Problem, recording: Recording, span: float = BIN) -> int:
     """Samples of a row: those of ``span`` [s]; of a force, which is decimated until its samples are independent, one."""
-    return 1 if problem.stage == "force" else max(1, round(span * problem.rate(recording)))
+    return 1 if problem.force_filter is not None else max(1, round(span * problem.rate(recording)))
 
 
 def _time(problem: Problem, recording: Recording, width: int, count: int) -> Array:
@@ -316,7 +316,7 @@ def _restarts(problem: Problem, recording: Recording, width: int, count: int) ->
     """Starts of the run of the stage: the first row, and the rows after gaps of its command."""
     found = np.zeros(count, dtype=np.bool_)
     found[:1] = True
-    if problem.stage == "command" and recording.kind == "motion":
+    if problem.kind.commanded and recording.kind == "motion":
         command = recording.values(axis_signal(problem.target, "command"))
         for first, _ in held(command, recording.rate_hz)[1]:
             at = -(-int(first) // width)

@@ -246,7 +246,7 @@ def prior_of(candidates: Sequence[Candidate]) -> Prior:
 def whitening_of(rows: StageRows, k: int, disturbance: Disturbance, extra: Array) -> Filter:
     """The filter of series ``k``; ``extra`` as in :func:`filter_of`."""
     s = rows.series[k]
-    span, integrates = rows.spans[s.signal], rows.problem.integrates
+    span, integrates = rows.spans[s.signal], rows.problem.kind.integrates
     return filter_of(disturbance, s.step, s.activity, s.present, s.restart, extra, span, integrates)
 
 
@@ -554,7 +554,7 @@ def _finished(
     w, slopes = whitened[:, 0], whitened[:, 1:]
     share = likelihood.share(rows.scaled(table[:, 1:]) * prior.width)
     confounded = np.zeros(k)
-    if k and not rows.problem.integrates:
+    if k and not rows.problem.kind.integrates:
         confounded = np.linalg.norm(share, axis=1) * prior.width
     basis = likelihood.products_beside(slopes, w)
     p = len(share.T)

@@ -74,7 +74,7 @@ def estimated(
     columns = _Columns(discrepancy, slopes, residual)
     fixed = 1 + slopes.shape[1]
     systematic = float(np.sqrt(max(model.left**2 - 1.0, LEAST_LIMIT**2)))
-    variances = replace(variances, left=np.inf if rows.problem.integrates else systematic)
+    variances = replace(variances, left=np.inf if rows.problem.kind.integrates else systematic)
     largest = _largest(rows, discrepancy, variances.left)
     for _ in range(ROUNDS):
         variances = _disturbances(rows, columns, fixed, discrepancy, variances, start, extra)

@@ -17,8 +17,7 @@ from sysid.effects import coulomb_friction
 from sysid.errors import ExcitationError
 from sysid.gap.adapters.adapter import SimulatorAdapter, adapt_simulator
 from sysid.gap.adapters.simulator import Simulator
-from sysid.gap.arm.pose_folds import shown_by_poses
-from sysid.gap.candidates import Candidate, Scales, candidates_at, without_aliases, without_servo_aliases
+from sysid.gap.candidates import Candidate, Scales, candidates_at
 from sysid.gap.data import Data
 from sysid.gap.excitation import excitation_of
 from sysid.gap.fit import Fit, fit_candidates, spread_of
@@ -149,7 +148,7 @@ def _stages(case: Case, problems: Sequence[Problem]) -> list[Stage]:
     for each in problems:
         split = stage_split(case, each)
         problem, resonance = _with_resonance(case, each, split)
-        moves_by_speed = problem.integrates and case.adapter is None
+        moves_by_speed = problem.kind.integrates and case.adapter is None
         oscillation = speed_resonance(problem, split.seen, case.theta) if moves_by_speed else None
         found.append(Stage(problem, split, np.zeros(0), case.theta, resonance=resonance, oscillation=oscillation))
         parts.append((problem, case.theta if resonance is None else _with_spring(case, problem.target, resonance), split.fit))
@@ -233,19 +232,15 @@ def stage_candidates(case: Case, stage: Stage) -> list[Candidate]:
     """Every effect that may be missing at the stage, excited or not."""
     problem = stage.problem
     scales = _scales_of(case.plant, stage)
-    found = candidates_at(case.plant, stage.theta, problem.stages, problem.targets, scales)
+    found = candidates_at(case.plant, stage.theta, problem.kind.stages, problem.targets, scales)
     found += candidates_at(case.plant, stage.theta, ("links",), problem.carried, scales)
     found = [c for c in found if _has_nominal(c, case.plant, problem, scales)]
     if stage.resonance is not None:
         # A spring reverses the motor several times in each motion, where errors of its damping and of the delay of the force
         # hide the shape of dry friction at low speeds.
         found = [c for c in found if coulomb_friction.EFFECT.name not in c.effect.generalises]
-    if is_pose_set(case.dataset):
-        found = [c for c in found if shown_by_poses(c)]
-    if "force" in problem.within:
-        spins = len(problem.carried) == len(case.plant.machine.axes) and not scales.loads.get(problem.target)
-        found = without_servo_aliases(found, case.plant.machine, spins)
-    return without_aliases(found, compile_plant(case.plant)) if problem.stage == "end_effector" else found
+    spins = len(problem.carried) == len(case.plant.machine.axes) and not scales.loads.get(problem.target)
+    return problem.kind.distinct(found, compile_plant(case.plant), spins)
 
 
 def excitation(case: Case, stages: list[Stage]) -> tuple[Excitation, ...]:
@@ -280,7 +275,7 @@ def _has_nominal(candidate: Candidate, plant: Plant, problem: Problem, scales: S
 
 def _scales_of(plant: Plant, stage: Stage) -> Scales:
     """Typical force and gravity loads in the fit recordings; a load below a thousandth of the largest counts as zero."""
-    force = _typical_force(stage) if "force" in stage.problem.stages else 1.0
+    force = _typical_force(stage) if "force" in stage.problem.kind.stages else 1.0
     loads = [gravity_load(plant.machine, r) for r in stage.split.fit]
 
     def sizes(load: Array, i: int, first: int, last: int) -> Array:

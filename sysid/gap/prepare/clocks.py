@@ -76,7 +76,7 @@ def _reacts_in_its_row(plant: Plant, problem: Problem, split: Split, noise: Mapp
     theta, period = plant.vector(), ONE_ROW / split.seen[0].rate_hz
     if period >= input_delay.LONGEST:
         return False
-    known = candidates_at(plant, theta, problem.stages, problem.targets)
+    known = candidates_at(plant, theta, problem.kind.stages, problem.targets)
     candidates = tuple({c.key: c for c in reversed(known) if c.effect in _LATE}.values())  # the simplest form of each
     data = Data(problem, split.seen, np.array([max(noise.get(problem.signals[0], 0.0), 1e-12)]))
     # The nominal values, and the start values of each candidate beside the nominal ones of the others.

@@ -277,13 +277,15 @@ def _half_a_row_later(recording: Recording, signals: Sequence[str]) -> Recording
 
 
 def shown_floor(model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array, sigma: Array) -> Array:
-    """The noise floor ``sigma`` (1,) of a force stage [N or N·m]; less where the recordings leave clearly less.
+    """The noise floor ``sigma`` (d,) of a stage; of a force [N or N·m], less where the recordings leave clearly less.
 
     Args:
         theta: vector of the plant, the links of an arm adjusted.
     """
+    if problem.force_filter is None:
+        return sigma
     axis = model.machine.axis(problem.target)
-    smooth = force_columns(model, axis, recordings, problem, theta)
+    smooth = force_columns(model, problem, recordings, theta)
     columns, target = list[Array](), list[Array]()
     for recording in recordings:
         inputs = force_inputs(recording, axis, problem.force_filter, problem.rows(recording))

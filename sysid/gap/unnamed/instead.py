@@ -91,7 +91,7 @@ def without_names_of_position(stage: Stage, machine: Machine) -> Stage:
     be worth that price beside the function. Only where formulas are wrong.
     """
     result, problem = stage.found, stage.problem
-    if problem.stage != "command" or result.stage_fit is None or result.stage_fit.decision.exact:
+    if not problem.kind.commanded or result.stage_fit is None or result.stage_fit.decision.exact:
         return stage
     axis, lost = machine.axis(problem.target), dict[str, Reason]()
     for kept in result.named:
@@ -119,7 +119,7 @@ def position_residuals(stage: Stage, theta: Array, axis: Axis) -> list[PositionR
         columns = legvander((filled(recording.values(axis.driven)[problem.rows(recording)]) - middle) / half, DEGREE)
         there = np.isfinite(residual)
         residual, columns = residual[there], columns[there]
-        if problem.integrates and len(residual):
+        if problem.kind.integrates and len(residual):
             residual, columns = residual - residual.mean(), (columns - columns.mean(axis=0))[:, 1:]
         found.append(PositionResidual(residual, columns))
     return found

@@ -98,7 +98,7 @@ def _fit_stage(
     (signal,) = problem.signals
     interval = _interval(problem, case.dataset.machine.rate_hz)
     fit, select = ([_window(problem, model, r, period) for r in recordings] for recordings in (split.fit, split.select))
-    bound = _bound([*fit, *select], problem.integrates, interval)
+    bound = _bound([*fit, *select], problem.kind.integrates, interval)
     before = _error(problem, model, split.held_out)
     floor = float(problem_floor(problem, model.theta, split.held_out, case.noise, case.seed)[0])
     without = ResidualModelResult(name, target, signal, before, math.nan, floor, False, "", bound)
@@ -111,7 +111,7 @@ def _fit_stage(
     seconds, least = sum(len(problem.rows(r)) / problem.rate(r) for r in split.select), (LEAST_BLOCKS + 1) * BLOCK_S
     if seconds < least:
         return refused(f"no residual network: {seconds:.1f} s of selection recordings, and {least:g} s are needed to test one")
-    trained = train_recurrent(fit, select, bound, interval, problem.integrates, settings, case.seed, progress)
+    trained = train_recurrent(fit, select, bound, interval, problem.kind.integrates, settings, case.seed, progress)
     inputs = [n for n, scale in zip(input_names(plain.machine, target), trained.weights["scale"], strict=True) if scale != 0.0]
     origin = {
         "dataset": case.dataset.reference,
@@ -183,7 +183,7 @@ def _window(problem: Problem, model: Model, recording: Recording, period: float)
         left = problem.measured(recording)[:, 0] - predicted
         if axis.driven in problem.signals:
             position = filled(predicted) + gaussian_filter1d(filled(left), 0.5 * SMOOTH * rate, mode="nearest")
-            speed = np.append(np.diff(filled(predicted)), 0.0) * rate if problem.integrates else None
+            speed = np.append(np.diff(filled(predicted)), 0.0) * rate if problem.kind.integrates else None
         else:
             position, commands = filled(recording.values(axis.driven)), np.zeros_like(commands)
     at = np.arange((len(left) - 1) // stride) * stride
@@ -223,6 +223,6 @@ def _p_value(before: Problem, theta: Array, after: Problem, other: Array, record
             error = measured - problem.predict(values[None], recording)[0][:, 0]
             error = error[: len(error) // width * width].reshape(-1, width)
             means = np.nanmean(np.where(np.isfinite(error).any(axis=1, keepdims=True), error, 0.0), axis=1)
-            squares.append((np.diff(means) if problem.integrates else means) ** 2)
+            squares.append((np.diff(means) if problem.kind.integrates else means) ** 2)
         gains.append(squares[0] - squares[1])
     return gain_p_value(np.concatenate(gains), seed)

@@ -95,8 +95,8 @@ def residual_series(
     bins = _means(left[: count * width].reshape(count, width))
     parts = {name: values[: count * width].reshape(-1, inner).mean(axis=1) for name, values in found.items()}
     step = width / rate_hz
-    target = np.diff(bins) / step if problem.integrates else bins
-    return ResidualSeries(recording.name, target, parts, problem.integrates, step)
+    target = np.diff(bins) / step if problem.kind.integrates else bins
+    return ResidualSeries(recording.name, target, parts, problem.kind.integrates, step)
 
 
 def _variables(problem: Problem, recording: Recording, machine: Machine, predicted: Array) -> dict[str, Array]:

@@ -18,6 +18,7 @@ from sysid.gap.arm.link_rows import axis_rows, doubled, plausible
 from sysid.gap.arm.link_stage import fit_links_stage
 from sysid.gap.arm.posture import posture_share
 from sysid.gap.candidates import Candidate
+from sysid.gap.data import Data, SearchInput
 from sysid.gap.prepare.case import stage_candidates
 from sysid.gap.stages import search_stages
 from sysid.machine import machine_from_files
@@ -165,7 +166,8 @@ def test_a_constant_load_is_open_where_a_link_turns_by_few_degrees(reach: float,
     model = compile_plant(study.case.plant)
     some = stage_candidates(study.case, stage)
     names = [c.label for c in some]
-    fit = fit_links_stage(model, stage.problem, stage.split.seen, stage.theta, stage.sigma, some, names, lambda text: None)
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    fit = fit_links_stage(SearchInput(model, seen, stage.theta, some, names, lambda text: None))
     assert set(fit.open_loads) == {"lift", "elbow"}
     typical = {"lift": 0.9, "elbow": 0.15}
     for axis, load in fit.open_loads.items():

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from sysid.gap import GapResult, find_gap
 from sysid.gap.arm.pose_rows import PoseRows
 from sysid.gap.arm.pose_stage import fit_pose_stage
+from sysid.gap.data import Data, SearchInput
 from sysid.gap.prepare.case import open_case, stage_candidates
 from sysid.plant import compile_plant, nominal_plant
 from tests.helpers.pose_sets import Arm, Hidden, dataset_of, pose_set
@@ -83,7 +84,8 @@ def test_eleven_joints_and_four_hundred_poses_need_few_evaluations_of_the_model(
     monkeypatch.setattr(PoseRows, "predicted", counted)
     model = compile_plant(case.plant)
     labels = [c.label for c in candidates]
-    fit_pose_stage(model, stage.problem, stage.split.seen, stage.theta, stage.sigma, candidates, labels, lambda text: None)
+    seen = Data(stage.problem, stage.split.seen, stage.sigma)
+    fit_pose_stage(SearchInput(model, seen, stage.theta, candidates, labels, lambda text: None))
     unknowns = sum(len(c.unknowns) for c in candidates)
     linearisations = sum(lanes) / (2 * unknowns + 1)
     assert linearisations < 25, f"{sum(lanes)} lanes for {unknowns} unknowns"

@@ -33,7 +33,7 @@ def made(stage: str, target: str, weight: bool = False) -> tuple[StageRows, Disc
     dataset = dataset_of(plant, 8.0, seed=3)
     model = compile_plant(plant)
     (problem,) = (p for p in problems_of(model, dataset) if (p.stage, p.target) == (stage, target))
-    recordings = [averaged(r, problem.stage) for r in split_of(dataset).seen]
+    recordings = [averaged(r, problem.kind) for r in split_of(dataset).seen]
     rows = StageRows(problem, recordings, plant.vector(), np.full(len(problem.signals), 1e-4))
     return rows, discrepancy_of(model, rows, plant.vector(), 0.005)
 

@@ -11,10 +11,10 @@ from plant_data import dataset_of, nominal
 from regression_stage import NOISE, SIGNAL, functions, problem, recordings, rows_of
 
 from sysid.datasets.recording import Recording
-from sysid.effects.effect import Stage
 from sysid.gap.likelihood import rows as rows_module
 from sysid.gap.likelihood.rows import BIN, BLOCK, STATIC_SPAN, StageRows, averaged, averaged_out, bin_means
-from sysid.gap.problem import STATIC, drive_problem
+from sysid.gap.problem import drive_problem
+from sysid.gap.stage_kind import FORCE, JOINT, SPEED, TIP, TOOL, StageKind
 from sysid.plant import compile_plant
 
 
@@ -111,10 +111,10 @@ def ramp(count: int, kind: str = "motion") -> Recording:
     return Recording("run", pd.DataFrame({"time": time, "boom.joint": 2.0 * time}), 100.0, kind)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("stage", STATIC)
-def test_stages_without_dynamics_are_averaged(stage: Stage) -> None:
+@pytest.mark.parametrize("kind", [JOINT, TIP])
+def test_stages_without_dynamics_are_averaged(kind: StageKind) -> None:
     width = round(STATIC_SPAN * 100.0)
-    found = averaged(ramp(103), stage)
+    found = averaged(ramp(103), kind)
     assert found.rate_hz == pytest.approx(100.0 / width)
     assert len(found) == 103 // width
     assert found.values("boom.joint") == pytest.approx(2.0 * found.values("time"))
@@ -126,16 +126,16 @@ def test_gaps_stay_gaps_where_less_than_half_is_there() -> None:
     table = made.table.copy()
     table.loc[0:6, "boom.joint"] = np.nan
     table.loc[10:13, "boom.joint"] = np.nan
-    found = averaged(replace(made, table=table), "joint").values("boom.joint")
+    found = averaged(replace(made, table=table), JOINT).values("boom.joint")
     assert np.isnan(found).tolist() == [True] + [False] * 9
 
 
 def test_stages_with_dynamics_and_poses_keep_their_rows() -> None:
     made, poses = ramp(100), ramp(100, "poses")
-    assert averaged(made, "tool") is made
-    assert averaged(made, "command") is made
-    assert averaged(made, "force") is made
-    assert averaged(poses, "end_effector") is poses
+    assert averaged(made, TOOL) is made
+    assert averaged(made, SPEED) is made
+    assert averaged(made, FORCE) is made
+    assert averaged(poses, TIP) is poses
 
 
 def test_what_is_left_is_that_of_the_samples_whatever_is_averaged() -> None:

@@ -95,7 +95,7 @@ def test_backlash_behind_a_noisy_sensor_has_its_width(ratio: float) -> None:
     samples, _ = noisy(machine, noise)
     raw = next(p for p in problems_of(model, dataset_of(plant, 20.0)) if (p.stage, p.target) == ("joint", "boom"))
     problem = with_measured_input(raw, {CYLINDER: noise}, lambda recording: free_run(model, recording))
-    offered = candidates_at(plant, model.theta, problem.stages, ("boom",))
+    offered = candidates_at(plant, model.theta, problem.kind.stages, ("boom",))
     candidate = next(c for c in offered if c.effect.name == "backlash" and c.side == "drive")
 
     def width(driven: object) -> float:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid.datasets.recording import Recording
 from sysid.gap.likelihood.discrepancy.drives import force_columns, servo_columns, velocity_columns
 from sysid.gap.likelihood.discrepancy.geometry import joint_columns, tip_columns, tool_columns
 from sysid.gap.likelihood.rows import StageRows, bin_means
+from sysid.gap.stage_kind import FORCE, JOINT, POSITION, SERVO, SPEED, TIP, TOOL
 from sysid.plant import Model
 
 Array = npt.NDArray[np.float64]
-#: Group → columns on the rows of a recording that the problem measures, (n, m, d).
-Columns = Mapping[str, Array]
+
+#: (model, problem, recordings, θ) → recording → group → columns on the rows that the problem measures, (n, m, d).
+COLUMNS = {
+    SPEED: velocity_columns,
+    POSITION: servo_columns,
+    SERVO: servo_columns,
+    FORCE: force_columns,
+    JOINT: joint_columns,
+    TIP: tip_columns,
+    TOOL: tool_columns,
+}
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ def timing_alone(rows: StageRows, timing: float) -> Discrepancy:
 def discrepancy_of(model: Model, rows: StageRows, theta: Array, timing: float) -> Discrepancy:
     """The columns of a stage, with the dead time and lag of ``theta``; ``timing``: standard deviation of its error [s]."""
     problem = rows.problem
-    make = _maker(model, rows, theta)
+    make = COLUMNS[problem.kind](model, problem, rows.recordings, theta)
     groups, sizes = tuple[str, ...](), list[int]()
     table = np.empty((rows.count, 0), np.float32)
     at = 0
@@ -66,21 +74,6 @@ def discrepancy_of(model: Model, rows: StageRows, theta: Array, timing: float) -
             first += size
         at += signals
     return Discrepancy(table, np.repeat(np.arange(len(groups)), sizes), groups, timing_alone(rows, timing).timing)
-
-
-def _maker(model: Model, rows: StageRows, theta: Array) -> Callable[[Recording], Columns]:
-    problem = rows.problem
-    if problem.stage == "command":
-        axis = model.machine.axis(problem.target)
-        make = velocity_columns if axis.actuation == "velocity" else servo_columns
-        return make(model, axis, rows.recordings, theta)
-    if problem.stage == "force":
-        return force_columns(model, model.machine.axis(problem.target), rows.recordings, problem, theta)
-    if problem.stage == "joint":
-        return joint_columns(model, model.machine.axis(problem.target), rows.recordings)
-    if problem.stage == "end_effector":
-        return tip_columns(model, rows.recordings, theta)
-    return tool_columns(model, rows.recordings)
 
 
 def _slope(output: Array, time: Array) -> Array:

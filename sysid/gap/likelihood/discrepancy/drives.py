@@ -26,7 +26,6 @@ from sysid.gap.likelihood.discrepancy.shapes import (
     span_of,
     waves,
 )
-from sysid.machine import Axis
 from sysid.plant import Model, gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.plant.link_torque import link_torque
@@ -41,9 +40,9 @@ Make = Callable[[Recording], dict[str, Array]]
 PAST = 0.15
 
 
-def velocity_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:
+def velocity_columns(model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array) -> Make:
     """Command → speed, integrated to the position: flow as a function of command, position, rate, past, time, load, others."""
-    i = model.axis_index(axis.name)
+    axis, i = model.machine.axis(problem.target), model.axis_index(problem.target)
     block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
     delay, lag, gain = float(block[AT.input_delay]), float(block[AT.first_order_lag]), axis.gain * float(block[AT.gain_error])
     hysteresis, max_rate = float(block[AT.valve_hysteresis]), float(block[AT.command_rate_limit])
@@ -96,9 +95,9 @@ def _spool(u, hysteresis, max_step, out):
         out[k] = spool
 
 
-def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], theta: Array) -> Make:
+def servo_columns(model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array) -> Make:
     """Setpoint → position: following error as a function of speed, acceleration, direction, past, posture, load, time."""
-    i = model.axis_index(axis.name)
+    axis, i = model.machine.axis(problem.target), model.axis_index(problem.target)
     block = theta[i * AXIS_WIDTH : (i + 1) * AXIS_WIDTH]
     delay, lag = float(block[AT.input_delay]), float(block[AT.first_order_lag])
     time_constant, damping_ratio = block[AT.second_order_lag : AT.second_order_lag + 2]
@@ -133,13 +132,14 @@ def servo_columns(model: Model, axis: Axis, recordings: Sequence[Recording], the
     return columns
 
 
-def force_columns(model: Model, axis: Axis, recordings: Sequence[Recording], problem: Problem, theta: Array) -> Make:
+def force_columns(model: Model, problem: Problem, recordings: Sequence[Recording], theta: Array) -> Make:
     """Motion → force: as a function of speed, position, acceleration, distance since a reversal, time and load.
 
     Every column passes the low-pass filter of the force and is taken on the same rows.
     """
     from sysid.plant.force import force_inputs
 
+    axis = model.machine.axis(problem.target)
     middle, half = span_of(tuple(recordings), axis.driven)
     fastest = _fastest(recordings, axis.driven)
     force = np.concatenate([problem.measured(r)[:, 0] for r in recordings])

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid.datasets.recording import Recording
 from sysid.gap.likelihood.discrepancy.shapes import filled, slope, slow_cosines, smooth, span_of, waves
-from sysid.machine import Axis
 from sysid.plant import Model, gravity_load
 from sysid.plant.layout import AT, AXIS_WIDTH
 from sysid.signals import axis_signal, point_signals
+
+if TYPE_CHECKING:
+    from sysid.gap.problem import Problem
 
 Array = npt.NDArray[np.float64]
 Make = Callable[[Recording], dict[str, Array]]
@@ -21,12 +24,12 @@ Make = Callable[[Recording], dict[str, Array]]
 TURN = 0.01
 
 
-def joint_columns(model: Model, axis: Axis, recordings: Sequence[Recording]) -> Make:
+def joint_columns(model: Model, problem: Problem, recordings: Sequence[Recording], _: Array) -> Make:
     """Cylinder → joint: as a function of the cylinder, of direction, of speed, of load, and of time."""
-    i = model.axis_index(axis.name)
-    cylinder = axis_signal(axis.name, "cylinder")
+    i = model.axis_index(problem.target)
+    cylinder = axis_signal(problem.target, "cylinder")
     middle, half = span_of(tuple(recordings), cylinder)
-    scale = span_of(tuple(recordings), axis_signal(axis.name, "joint"))[1]
+    scale = span_of(tuple(recordings), axis_signal(problem.target, "joint"))[1]
     load_of = _loads(model, recordings)
 
     def columns(recording: Recording) -> dict[str, Array]:
@@ -48,7 +51,7 @@ def joint_columns(model: Model, axis: Axis, recordings: Sequence[Recording]) -> 
     return columns
 
 
-def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> Make:
+def tip_columns(model: Model, _: Problem, recordings: Sequence[Recording], theta: Array) -> Make:
     """Joints → end effector: every joint turned by functions of posture, direction, speed, load and time; the base likewise.
 
     A joint moves the end effector along its column of the Jacobian, (n, 3), which is computed by the plant.
@@ -88,13 +91,13 @@ def tip_columns(model: Model, recordings: Sequence[Recording], theta: Array) -> 
     return columns
 
 
-def tool_columns(model: Model, recordings: Sequence[Recording]) -> Make:
+def tool_columns(model: Model, problem: Problem, recordings: Sequence[Recording], _: Array) -> Make:
     """End effector → tool: as functions of place, speed and acceleration of the end effector, and of time."""
     reach = _reach(recordings)
 
     def columns(recording: Recording) -> dict[str, Array]:
         dt = 1.0 / recording.rate_hz
-        ends = np.column_stack([filled(recording.values(s)) for s in point_signals("ee")])
+        ends = np.column_stack([filled(recording.values(s)) for s in problem.inputs])
         v = np.column_stack([slope(x, dt) for x in ends.T])
         a = np.column_stack([np.gradient(smooth(x, round(0.3 / dt)), dt) for x in v.T])
         time = np.arange(len(ends)) * dt
