@@ -101,8 +101,8 @@ def _names(recordings: Any) -> tuple[str, ...]:
     return tuple(recording.name for recording in recordings)
 
 
-def _model_key(likelihood: object, candidates: Any, starts: Any, rounds: int = likelihood_stage.ROUNDS) -> Any:
-    return _labels(candidates), _bytes(starts), rounds
+def _model_key(likelihood: object, candidates: Any, starts: Any, rounds: int = likelihood_stage.ROUNDS, tried: int = 1) -> Any:
+    return _labels(candidates), _bytes(starts), rounds, tried
 
 
 def _search_key(given: Any, timing: float) -> Any:
