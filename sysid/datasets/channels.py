@@ -60,14 +60,7 @@ def survey_mounts(found: Sequence[RecordingFiles], machine: Machine, recipe_plac
         InputError: a body is not visible, or moves, in the reference pose; of all such files at once.
         SettingsError: no reference, or it names a missing recording.
     """
-    own: dict[tuple[str, str], Mapping[str, Sequence[Array]]] = {}
-    refused: dict[str, InputError] = {}
-    for files in found:
-        poses, errors = reference_poses(files, machine)
-        own |= {(files.name, key): found_poses for key, found_poses in poses.items()}
-        refused |= errors
-    check_refused(refused, count_files(found), recipe_place)
-    return combined_mounts(found, own)
+    return combined_mounts(found, [(files.name, reference_poses(files, machine)) for files in found], recipe_place)
 
 
 def reference_poses(files: RecordingFiles, machine: Machine) -> tuple[ReferencePoses, dict[str, InputError]]:
@@ -90,15 +83,23 @@ def reference_poses(files: RecordingFiles, machine: Machine) -> tuple[ReferenceP
     return found, refused
 
 
-def combined_mounts(found: Sequence[RecordingFiles], own: Mapping[tuple[str, str], Mapping[str, Sequence[Array]]]) -> Mounts:
+def combined_mounts(
+    found: Sequence[RecordingFiles],
+    surveyed: Sequence[tuple[str, tuple[ReferencePoses, Mapping[str, InputError]]]],
+    recipe_place: str,
+) -> Mounts:
     """Mounts for each recording: of its own reference pose, or the mean of all where they share one.
 
     Args:
-        own: (recording, key of the recipe's entry) → :func:`reference_poses`.
+        surveyed: recordings and their :func:`reference_poses`; one without bodies may be missing.
 
     Raises:
+        InputError: a body is not visible, or moves, in the reference pose; of all such files at once.
         SettingsError: a reference names a missing recording.
     """
+    own = {(name, key): bodies for name, (poses, _) in surveyed for key, bodies in poses.items()}
+    refused = {key: error for _, (_, errors) in surveyed for key, error in errors.items()}
+    check_refused(refused, count_files(found), recipe_place)
     with_bodies = [(files.name, m) for files in found for _, m in files.streams if m is not None and m.bodies]
     mounts: dict[tuple[str, str], dict[str, Array]] = {}
     for name, mapping in with_bodies:

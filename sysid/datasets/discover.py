@@ -137,7 +137,7 @@ def _places(path: Path, recipe: IngestRecipe) -> Iterator[tuple[str, Path]]:
             yield from ((folder.resolve().name, file) for file in sorted(folder.iterdir()) if is_log(file))
 
 
-def check_sources(found: Sequence[RecordingFiles], recipe: IngestRecipe, where: object) -> None:
+def check_sources(found: Sequence[RecordingFiles], where: object) -> None:
     """Check that no two entries of the recipe are primary sources of one signal in one recording.
 
     Raises:

@@ -79,7 +79,7 @@ def _ingest(plan: Plan, workspace: Path | str, name: str | None, report: Progres
     report(0.0, "reading file names")
     found = discover(plan.roots, rules)
     check_recordings(plan.roots, found, rules, plan.where)
-    check_sources(found, rules, plan.where)
+    check_sources(found, plan.where)
     sources = sources_of(found)
     digest = digest_of({**content_of(sources, rules), "machine": description.files()})
     store = Store(workspace)

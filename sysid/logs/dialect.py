@@ -133,7 +133,7 @@ def find_dialect(path: Path, options: ReadOptions, budget: Budget) -> Dialect:
     if options.decimal is None:
         found = _with_decimal(path, found)
     budget.check_columns(path, max(len(row.cells) for row in found.rows))
-    return _dialect(path, encoding, found, [line for line in lines if line.is_remark], options)
+    return _dialect(encoding, found, [line for line in lines if line.is_remark], options)
 
 
 def _with_decimal(path: Path, split: _Split) -> _Split:
@@ -216,7 +216,7 @@ class _Split:
         return bool(known) and known[0] == 1 and known.count(1) >= known.count(2)
 
 
-def _dialect(path: Path, encoding: str, split: _Split, remarks: Sequence[_Line], options: ReadOptions) -> Dialect:
+def _dialect(encoding: str, split: _Split, remarks: Sequence[_Line], options: ReadOptions) -> Dialect:
     first = next((i for i, row in enumerate(split.rows) if split.is_data(row)), None)
     before = [row for row in split.rows[: len(split.rows) if first is None else first] if _has_text(row, split)]
     header: _Row | None

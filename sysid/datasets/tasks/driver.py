@@ -65,14 +65,8 @@ class TaskIngest:
         with_bodies = [files for files in found if any(m is not None and m.bodies for _, m in files.streams)]
         calls = [(self.location, plan, absolute(files)) for files in with_bodies]
         surveyed = self.executor.run(survey_recording, calls, part(report, *_SURVEYED))
-        own = {
-            (files.name, key): bodies
-            for files, (poses, _) in zip(with_bodies, surveyed, strict=True)
-            for key, bodies in poses.items()
-        }
-        refused = {key: error for _, entry in surveyed for key, error in entry.items()}
-        check_refused(refused, count_files(found), plan.recipe_place)
-        return combined_mounts(found, own)
+        names = [files.name for files in with_bodies]
+        return combined_mounts(found, [*zip(names, surveyed, strict=True)], plan.recipe_place)
 
     def written(
         self,

@@ -100,7 +100,7 @@ def _append(
     if not found:
         report(1.0, f"{reference} holds all of these recordings")
         return store.load(reference)
-    check_sources(found, plan.rules, plan.where)
+    check_sources(found, plan.where)
     digest = digest_of({"base": base["digest"], "role": role, **content_of(sources, plan.rules)})
     known = store.intact(name, digest, base["version"])
     if known is not None:

@@ -151,7 +151,7 @@ class _Pass:
         if not found:
             expected = "log files in a sub-folder that the recipe takes for a recording"
             raise InputError(path, "no log that is a recording", expected, "Correct the recipe, or move it elsewhere.")
-        check_sources(found, self._plan.rules, self._plan.where)
+        check_sources(found, self._plan.where)
         return found
 
     def _decided(self, files: RecordingFiles, progress: Progress) -> str:
