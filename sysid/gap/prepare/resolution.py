@@ -32,6 +32,8 @@ RESULTANT = 0.4
 FUNDAMENTAL = 0.95
 #: Least number of levels of a lattice; least number of steps over the range for readings with noise after rounding.
 MIN_LEVELS, MIN_STEPS = 4, 60
+#: Change of a reading that is no noise, in its standard deviations.
+MOVES = 5.0
 #: Quantiles of the changes between neighbouring readings that are tested as the step.
 CHANGES = (0.0, 0.01, 0.05, 0.25, 0.5)
 #: Changes of equal size that are a steady motion, and the largest share of the moving readings in those: midway between that of
@@ -243,10 +245,11 @@ def _noisy_step(parts: Sequence[Array]) -> float:
 
 
 def _in_motion(parts: Sequence[Array]) -> Array:
-    """Readings at more than a twentieth of the top speed of the signal in any of the recordings."""
+    """Readings that move by more than their noise, at more than a twentieth of the top speed of the signal in any recording."""
     ways = [np.abs(part[10:] - part[:-10]) for part in parts]
     most = max((float(np.nanmax(way)) for way in ways if len(way) and not np.isnan(way).all()), default=0.0)
-    return _readings([part[5:-5][way > 0.05 * most] for part, way in zip(parts, ways, strict=True) if len(way)])
+    least = [max(0.05 * most, MOVES * float(np.nan_to_num(noise_bound(part)))) for part in parts]
+    return _readings([part[5:-5][way > limit] for part, way, limit in zip(parts, ways, least, strict=True) if len(way)])
 
 
 def _readings(parts: Sequence[Array]) -> Array:

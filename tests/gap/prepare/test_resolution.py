@@ -85,6 +85,17 @@ def test_a_sensor_that_stands_in_most_recordings_has_none(seed: int) -> None:
     assert reading_step([strokes(seed) + 2e-5 * rng.standard_normal(len(strokes(seed))), *still]) == 0.0
 
 
+@given(st.floats(2.0, 40.0), st.integers(0, 2**32 - 1))
+def test_a_slow_stroke_among_rests_has_none(noises: float, seed: int) -> None:
+    """Its changes are those of the noise, ``noises`` standard deviations in ten readings; the rests are at a few places."""
+    rng, time = np.random.default_rng(seed), np.arange(1000) / 100.0
+    parts = []
+    for _ in range(4):
+        way = np.clip(time - rng.uniform(1.0, 5.0), 0.0, rng.uniform(0.5, 2.0)) * 10.0 * noises
+        parts.append(1e-5 * (rng.uniform(-1e3, 1e3) + way + rng.standard_normal(len(time))))
+    assert reading_step(parts) == 0.0
+
+
 def test_steps_that_a_data_sheet_does_not_promise_are_noise_with_a_name() -> None:
     plant = nominal()
     truth = KnownEffect("sensor_quantisation", "boom.cylinder", {"step": 1e-3})
