@@ -25,9 +25,9 @@ from sysid.gap.thresholds import as_little, at_floor
 
 Array = npt.NDArray[np.float64]
 
-#: Largest number of effects of a set; sets of one size whose subsets are fitted again; sets of one size, and where none of them
-#: can be the smallest that explains the output.
-MAX_EFFECTS, BEST_SETS, MOST_SETS, FEWER_SETS = 3, 3, 18, 6
+#: Largest number of effects of a set; sets of one size whose subsets are fitted again, and from which larger ones grow; sets of
+#: one size, and where none of them can be the smallest that explains the output.
+MAX_EFFECTS, BEST_SETS, GROWING_SETS, MOST_SETS, FEWER_SETS = 3, 3, 8, 12, 6
 #: Number of blocks over which errors of the free run are correlated.
 LAGS = 4
 #: Remaining errors within this factor are those of one optimum.
@@ -120,7 +120,8 @@ class LeastSquares(FreeRun):
         found = list(level)
         for size in range(1, MAX_EFFECTS + 1):
             wide = may_be_smallest(size, found)
-            best, grown = level[0].left, self.proposals.grown(level, among, MOST_SETS if wide else FEWER_SETS)
+            best = level[0].left
+            grown = self.proposals.grown(level[:GROWING_SETS], among, MOST_SETS if wide else FEWER_SETS)
             if not grown:
                 break
             level = sorted(grown, key=lambda f: f.left)

@@ -31,7 +31,7 @@ MAX_DISTANCE = 60.0
 #: Additional start values of an added effect: of one unknown whose nominal value is within their range, and of others.
 FEW_STARTS, MANY_STARTS = 4, 16
 #: Start values from which a fit of a grown set tries a few steps.
-TRIED = 4
+TRIED = 2
 #: Short steps of the screening, in the negligible change of each parameter.
 STEP = 2.0
 #: Least and largest share of a start value along which a response is taken as linear.

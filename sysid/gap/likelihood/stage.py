@@ -382,7 +382,7 @@ def _factor(gram: Array) -> Array:
 #: Gauss–Newton steps at most, and the gain [nats] below which a fit has converged.
 ROUNDS, CONVERGED = 15, 0.05
 #: Steps from each start value that is tried.
-FIRST_ROUNDS = 3
+FIRST_ROUNDS = 2
 #: Damping factors; those after the first are tested where a step gains less than this share of the expected gain.
 DAMPING, MIN_GAIN_RATIO = (0.0, 1e-2, 0.3, 10.0), 0.5
 #: A parameter is flat if its negligible change moves the innovations by less than this (norm).
