@@ -416,18 +416,16 @@ def fit_model(
     """Fit the unknowns of ``candidates`` from the best of ``starts`` (s, k), the ``tried`` best compared after a few steps."""
     candidates = tuple(candidates)
     descent = _Descent(likelihood, candidates)
-    unknowns, prior, x = descent.unknowns, descent.prior, starts[0]
+    unknowns, prior, rows = descent.unknowns, descent.prior, likelihood.rows
     if not unknowns:
-        return _finished(likelihood, candidates, unknowns, x, likelihood.rows.residuals(likelihood.rows.theta[None]).T, prior)
+        return _finished(likelihood, candidates, unknowns, starts[0], rows.residuals(rows.theta[None]).T, prior)
     starts = np.clip(starts, prior.low, prior.high)
-    x = starts[0]
     if len(starts) > 1:
         starts = starts[np.argsort(descent.costs(starts, likelihood.linear.alone), kind="stable")[:tried]]
-        x = starts[0]
     if len(starts) > 1:
         ends = np.array([descent.run(start, FIRST_ROUNDS)[0] for start in starts])
-        x = ends[int(np.argmin(descent.costs(ends, likelihood.linear.alone)))]
-    x, raw = descent.run(x, rounds)
+        starts = ends[[int(np.argmin(descent.costs(ends, likelihood.linear.alone)))]]
+    x, raw = descent.run(starts[0], rounds)
     table = raw.copy()
     table[:, 1:] /= prior.width
     for k in np.flatnonzero(descent.stepwise):

@@ -32,7 +32,7 @@ RESULTANT = 0.4
 FUNDAMENTAL = 0.95
 #: Least number of levels of a lattice; least number of steps over the range for readings with noise after rounding.
 MIN_LEVELS, MIN_STEPS = 4, 60
-#: Change of a reading that is no noise, in its standard deviations.
+#: Least change of a reading that moves, in standard deviations of the noise.
 MOVES = 5.0
 #: Quantiles of the changes between neighbouring readings that are tested as the step.
 CHANGES = (0.0, 0.01, 0.05, 0.25, 0.5)
