@@ -11,15 +11,8 @@ from sysid.registry import CHAMPION, Registry, ancestors
 from sysid_rl.run.assemble import Assembly, assemble
 from sysid_rl.run.recipe import KINEMATIC, parse_runner
 
-#: Disabled checks of the supervisor, with their reasons.
-WITHOUT = {
-    "domain": "the forward model is the kinematics of the plant, not a network",
-    "delay": "the machine's dead time is unknown, and a simulated machine cannot be damaged",
-    "motion": "the plant of a first run has no dead-bands, and a simulated machine cannot be damaged",
-    "first_move": "the plant of a first run has no dead-bands, and a simulated machine cannot be damaged",
-}
-#: Thresholds that a machine passes with the plant of its first run, whose errors the gap workflow needs.
-WIDE = {"path": {"distance": 0.1}, "frozen": {"seconds": 0.1}}
+#: Thresholds that a machine passes with a plant that was never identified, whose errors the gap workflow needs.
+WIDE = {"path": {"distance": 0.1}, "motion": {"wider": 0.4}, "delay": {"after_s": 0.2}}
 #: Rest before a run, in which the motion capture sees the parked machine [s].
 REST_S = 3.0
 
@@ -29,17 +22,17 @@ class Deployment:
     """Versions of the registry; ``policy`` is one of them, or inverse kinematics.
 
     Args:
-        without: disabled checks of the supervisor, with their reasons.
-        checks: changed thresholds, as in ``[checks]`` of a runner recipe.
+        checks: changed thresholds, as in ``[checks]`` of a runner recipe; none for a plant that was identified.
+        shaper: of a path, against the swing of the tool.
         lookahead: of the targets [s]; None: the runner's default, none for a policy.
     """
 
     plant: str
     forward: str
     policy: str = "ik-lookahead"
-    without: Mapping[str, str] = field(default_factory=lambda: WITHOUT)
-    checks: Mapping[str, Any] = field(default_factory=lambda: WIDE)
+    checks: Mapping[str, Any] = field(default_factory=dict)
     lookahead: float | None = None
+    shaper: str = "none"
 
     def assembled(self, registry: Registry, site: Path, task: Mapping[str, Any]) -> Assembly:
         """The runner for a task.
@@ -57,9 +50,10 @@ class Deployment:
             "machine": str((site / "machine.toml").resolve()),
             "versions": {**versions, **ahead, "unpromoted": _unpromoted(registry, models)},
             "transport": {"kind": "can"},
-            "checks": {**self.checks, "without": dict(self.without)},
+            "checks": dict(self.checks),
             "loop": {"settle_s": REST_S, "priority": 0, "lock_memory": False},
             **task,
+            **({"track": {**task["track"], "shaper": self.shaper}} if "track" in task else {}),
         }
         return assemble(parse_runner(values, "deployment"), registry, site / "runner.toml")
 

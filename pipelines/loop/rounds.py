@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from loop.deployment import Deployment
+from loop.deployment import WIDE, Deployment
 from loop.flight import SIGNALS, Flight, fly, simulate
 from loop.models import named_part, register_forward, register_plant
 from loop.recording import ingest_flights
@@ -26,6 +26,8 @@ from sysid.workspace import Workspace, open_workspace
 #: Paths of each deployment; the figures are those of the first helix and of the circle. The third run is the first round's
 #: held-out recording.
 PATHS = ("helix", "circle", "helix")
+#: Rest at the beginning of a path, in which the tool stops swinging [s].
+SETTLE_S = 15.0
 #: Most repairs.
 MOST = 3
 
@@ -90,9 +92,15 @@ class Site:
     def plant(self, reference: str) -> Plant:
         return plant_from_files(self.workspace.models.load(reference).files, reference)
 
-    def deployment(self, plant: Plant) -> Deployment:
-        """Inverse kinematics and the controller of a registered plant."""
-        return Deployment(plant.reference, register_forward(self.workspace.models, plant))
+    def deployment(self, plant: Plant, identified: bool = True) -> Deployment:
+        """Inverse kinematics and the controller of a registered plant, the path shaped against the swing that it has.
+
+        Args:
+            identified: from logs of the machine; if not, the thresholds of the checks are wide.
+        """
+        shaper = "none" if plant.effect("gripper_sway", "tool") is None else "zv"
+        forward = register_forward(self.workspace.models, plant)
+        return Deployment(plant.reference, forward, checks={} if identified else WIDE, shaper=shaper)
 
     def fly(self, deployment: Deployment, task: Mapping[str, Any], logs: Path | None = None) -> Flight:
         """A run on the machine, with its recording below ``logs``, by default the folder that is ingested."""
@@ -102,8 +110,8 @@ class Site:
 
 
 def path_task(path: str) -> dict[str, Any]:
-    """The task of the runner to follow a path."""
-    return {"mode": "track", "track": {"path": path}}
+    """The task of the runner to follow a path, after the tool has come to rest."""
+    return {"mode": "track", "track": {"path": path, "settle_s": SETTLE_S}}
 
 
 def fly_paths(site: Site, deployment: Deployment, paths: Sequence[str], logs: Path | None = None) -> dict[str, Flight]:
@@ -125,9 +133,9 @@ def simulate_paths(site: Site, plant: Plant) -> dict[str, Flight]:
     return {path: simulate(plant, site.description, models, deployment, path_task(path)) for path in dict.fromkeys(PATHS)}
 
 
-def fly_experiments(site: Site, plant: Plant, experiments: Sequence[Experiment]) -> tuple[str, ...]:
+def fly_experiments(site: Site, deployment: Deployment, experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """Run proposed experiments on the machine, as often as each is needed; returns their names, one for each run."""
-    deployment, made = site.deployment(plant), []
+    made = []
     for experiment in experiments:
         path = write_experiment(site.folder / "experiments", experiment)
         for _ in range(experiment.repeats):
@@ -149,8 +157,9 @@ def close_gap(site: Site, show: Callable[[str], None], planning: Planning | None
     experiments: Sequence[Experiment] = ()
     for number in range(MOST + 1):
         begin, cpu_begin = time.perf_counter(), time.process_time()
-        flights, simulated = fly_paths(site, site.deployment(plant), PATHS), simulate_paths(site, plant)
-        made = fly_experiments(site, plant, experiments)
+        deployment = site.deployment(plant, identified=bool(rounds) and plant.reference != rounds[0].plant)
+        flights, simulated = fly_paths(site, deployment, PATHS), simulate_paths(site, plant)
+        made = fly_experiments(site, deployment, experiments)
         seconds = {"deploy": time.perf_counter() - begin}
         show(f"round {number}, {plant.reference}: helix {flights['helix'].figures()}")
         gap = None

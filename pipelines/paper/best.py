@@ -15,7 +15,6 @@ from typing import TypeVar
 from loop.deployment import Deployment
 from loop.flight import fly
 from loop.rounds import path_task
-from paper.machine import WITHOUT
 from paper.policies import track_helix
 from simulated_bench.recipe_file import load_recipe
 from sysid.datasets import Dataset
@@ -61,7 +60,7 @@ def best_of(place: Workspace, dataset: Dataset, site: Path, plant: str, work: Pa
             row = f"policy {number} on the helix, {what} x / y / z"
             found[row] = Best(tuple(float(1e3 * value) for value in values), command, taken)
     gap, searching = timed(lambda: find_gap(dataset, place.plant(dataset), place.models, add=True))
-    deployment, task = Deployment(gap.plant_after, forward, without=WITHOUT), path_task("helix")
+    deployment, task = Deployment(gap.plant_after, forward), path_task("helix")
     flight = fly(load_recipe(site / "bench.toml"), site, work / "flights", place.models, deployment, task, 100 * seed)
     values = tuple(float(value) for value in flight.figures()["max_mm"])
     command = 'sysid gap autolog --add; policy = "ik-lookahead"'

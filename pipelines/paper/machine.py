@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from loop.deployment import Deployment
+from loop.deployment import WIDE, Deployment
 from loop.flight import Flight, fly
 from loop.policies import CHECKS
 from loop.rounds import path_task
@@ -13,11 +13,8 @@ from simulated_bench.recipe_file import load_recipe
 from sysid.pictures import PictureCurve, svg
 from sysid.workspace import Workspace
 
-#: Disabled checks of the supervisor, with their reasons.
-WITHOUT = {
-    "domain": "the paper's network is used as it is, also between its poses",
-    "delay": "the machine's dead time is unknown, and a simulated machine cannot be damaged",
-}
+#: The disabled check of the supervisor, with its reason.
+WITHOUT = {"domain": "the paper's network is used as it is, also between its poses"}
 
 
 def deploy(place: Workspace, site: Path, logs: Path, plant: str, forward: str, policy: str, seed: int) -> dict[str, Flight]:
@@ -27,7 +24,8 @@ def deploy(place: Workspace, site: Path, logs: Path, plant: str, forward: str, p
         site: folder of the machine's description and of its bench recipe.
         policy: a version, or ``ik``.
     """
-    machine, deployment = load_recipe(site / "bench.toml"), Deployment(plant, forward, policy, WITHOUT, CHECKS)
+    machine = load_recipe(site / "bench.toml")
+    deployment = Deployment(plant, forward, policy, {**WIDE, **CHECKS, "without": WITHOUT})
     flights = {}
     for number, path in enumerate(("helix", "circle")):
         task = path_task(path)

@@ -190,8 +190,7 @@ def test_a_policy_of_a_plant_is_deployed_with_its_controller(
 ) -> None:
     import loop.policies as policies
 
-    monkeypatch.setattr(policies, "EPISODES", 64)
-    short = policies.RECIPE.read_text("utf-8").replace("steps = 100", "steps = 20")
+    short = policies.RECIPE.read_text("utf-8").replace("steps = 100", "steps = 20").replace("episodes = 2560", "episodes = 64")
     (tmp_path / "short.toml").write_text(short.replace("copies = 64", "copies = 16"), "utf-8")
     monkeypatch.setattr(policies, "RECIPE", tmp_path / "short.toml")
     nominal = site.nominal()
@@ -214,6 +213,7 @@ def test_the_loop_ends_when_nothing_more_is_named(loop: Any, monkeypatch: pytest
     none = replace(gap_result(), experiments=(wanted,) if excitation else ())
     gaps = [gap_result(effect("backlash", "slew")), none, gap_result()]
     flown: list[str] = []
+    checked: list[tuple[str, bool]] = []
     monkeypatch.setattr(rounds, "fly_paths", lambda site, plant, paths: {"helix": SimpleNamespace(figures=dict)})
     monkeypatch.setattr(rounds, "simulate_paths", lambda site, plant: {})
     monkeypatch.setattr(rounds, "find_gap", lambda *given, **named: gaps.pop(0))
@@ -225,7 +225,7 @@ def test_the_loop_ends_when_nothing_more_is_named(loop: Any, monkeypatch: pytest
         registered=lambda plant, lineage: SimpleNamespace(reference="crane@3"),
         plant=lambda reference: plant,
         dataset=lambda: None,
-        deployment=lambda plant: None,
+        deployment=lambda plant, identified: checked.append((plant.reference, identified)),
         fly=lambda deployment, task: flown.append(Path(task["experiment"]["file"]).stem),
         folder=Path("machine"),
         workspace=SimpleNamespace(models=None, keep_gap=lambda dataset, gap: None),
@@ -234,6 +234,7 @@ def test_the_loop_ends_when_nothing_more_is_named(loop: Any, monkeypatch: pytest
     assert [each.plant for each in found] == ["crane@1", "crane@3", "crane@3"][: 3 if excitation else 2]
     assert [each.experiments for each in found] == [(), (), ("slew-taps",) * 2][: len(found)]
     assert flown == ["slew-taps"] * (2 if excitation else 0)
+    assert checked == [("crane@1", False), ("crane@3", True), ("crane@3", True)][: len(found)], "wide thresholds at first only"
 
 
 def test_names_are_compared_with_the_truth(loop: Any) -> None:

@@ -10,6 +10,7 @@ from crane_store import learned
 from runner_case import DT, MIDDLE, PLANT, case
 
 from sysid.errors import SettingsError
+from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.uncertainty import NetworkUncertainty
 from sysid_rl.run.domain import TrainingDomains
 from sysid_rl.run.faults import Injection, Scaled
@@ -38,9 +39,17 @@ def test_beyond_the_data_and_back() -> None:
     assert said == [False, False, True, True, False, False, False]
 
 
-def test_a_version_that_does_not_know_its_data_is_refused() -> None:
-    with pytest.raises(SettingsError, match=r"has no training domain; .* \[checks.without\] domain"):
-        TrainingDomains(learned(PLANT), {}, AXES)
+def test_a_network_that_does_not_know_its_data_is_refused() -> None:
+    constant = Normalisation(np.zeros(3), np.ones(3))
+    network = Mlp((np.zeros((4, 3)),), (np.zeros(3),), Normalisation(MIDDLE, np.ones(4)), constant)
+    with pytest.raises(SettingsError) as caught:
+        TrainingDomains(replace(learned(PLANT), members=(network,)), {}, AXES)
+    assert (caught.value.where, caught.value.found) == ("checks.domain", "the forward version has no training domain")
+
+
+def test_kinematics_without_networks_have_no_training_data_to_leave() -> None:
+    domains = TrainingDomains(learned(PLANT), {}, AXES)
+    assert domains(at(MIDDLE + 10.0)) == ""
 
 
 def test_a_joint_sensor_that_contradicts_its_cylinder_stops_and_latches() -> None:

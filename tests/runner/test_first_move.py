@@ -11,17 +11,19 @@ from runner_case import DT, MIDDLE, PLANT, Case, Quick, case
 from test_commission import DRIVEN, STANDS, off
 from test_loop import tracking
 
+from sysid.machine import KnownEffect
 from sysid.plant import Plant
 from sysid_rl.control import tune
 from sysid_rl.run import faults as f
 from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.checks.settings import CheckSettings, MotionCheck
 from sysid_rl.run.faults import Fault, Injection
 from sysid_rl.run.limits import Limits
 from sysid_rl.run.modes.commission import Commission, CommissionSettings
 from sysid_rl.run.modes.hold import Hold
 from sysid_rl.run.modes.mode import Goal, Mode
 from sysid_rl.run.modes.replay import ReplayCommands, ReplayJoints
-from sysid_rl.run.response_range import ResponseRange
+from sysid_rl.run.response_range import ResponseRange, Tolerance
 from sysid_rl.run.task_clock import TaskClock
 from sysid_rl.run.valves import axis_valves
 
@@ -41,9 +43,14 @@ def alone(axis: int) -> Callable[[Limits, ControlChain], Mode]:
     return lambda limits, chain: ReplayJoints(MIDDLE + s * WAYS * (np.arange(4) == axis), limits, DT)
 
 
-def moved(mode: Callable[[Limits, ControlChain], Mode], *faults: Fault, true: Plant = PLANT, seed: int = 0) -> Case:
-    plan = [Injection(fault, 0.0) for fault in faults]
-    made = case(mode, true=true, plan=plan, seed=seed, first_move=True, settle_s=0.5, ready_within_s=2.0, seconds=25.0)
+def moved(
+    mode: Callable[[Limits, ControlChain], Mode], *faults: Fault, true: Plant = PLANT, seed: int = 0, wider: float = 0.0
+) -> Case:
+    plan, checks = [Injection(fault, 0.0) for fault in faults], CheckSettings(motion=MotionCheck(wider=wider))
+    made = case(
+        mode, true=true, plan=plan, seed=seed, checks=checks,
+        first_move=True, settle_s=0.5, ready_within_s=2.0, seconds=25.0,
+    )  # fmt: skip
     made.loop.warm_up(MIDDLE)
     made.loop.run()
     return made
@@ -82,8 +89,8 @@ WIRING = wrong_wiring()
 FEW = WIRING[::9]
 
 
-def check(axis: int, fault: Fault, true: Plant, seed: int, far: float, top: float) -> None:
-    made = moved(alone(axis), fault, true=true, seed=seed)
+def check(axis: int, fault: Fault, true: Plant, seed: int, far: float, top: float, wider: float = 0.0) -> None:
+    made = moved(alone(axis), fault, true=true, seed=seed, wider=wider)
     assert made.loop.outcome.ended != "done"
     fast, way = slow(made)
     if isinstance(fault, f.ValveShared) and fault.one == axis:
@@ -97,6 +104,25 @@ def check(axis: int, fault: Fault, true: Plant, seed: int, far: float, top: floa
 @pytest.mark.parametrize(("axis", "fault"), [row[1:] for row in FEW], ids=[row[0] for row in FEW])
 def test_wrong_wiring_moves_little_and_slowly(axis: int, fault: Fault) -> None:
     check(axis, fault, PLANT, 0, 0.025, 0.055)
+
+
+@pytest.mark.parametrize(("axis", "fault"), [row[1:] for row in FEW], ids=[row[0] for row in FEW])
+def test_wrong_wiring_is_found_where_dead_bands_are_not_known(axis: int, fault: Fault) -> None:
+    """A reading that is not the axis's own, and stands, permits most: the command rises until it is beyond any dead-band."""
+    blind = isinstance(fault, f.SensorShared)
+    check(axis, fault, PLANT, 0, 0.30 if blind else 0.025, 0.25 if blind else 0.055, wider=0.4)
+
+
+@pytest.mark.parametrize("wider", [0.1, 0.35])
+def test_a_dead_band_that_is_wider_than_the_plant_s_is_released_where_the_recipe_permits_it(wider: float) -> None:
+    true = PLANT
+    for axis, valve in zip(PLANT.machine.axis_names, VALVES, strict=True):
+        band = {"positive": valve.positive + wider, "negative": valve.negative + wider}
+        true = true.with_effect(KnownEffect("valve_deadband", axis, band))
+    refused, released = moved(swing, true=true), moved(swing, true=true, wider=wider + 0.05)
+    assert "moves nothing: its valve, its sensor, or a dead-band" in refused.loop.outcome.why
+    assert released.loop.outcome.ended == "done", released.loop.outcome.why
+    assert released.loop.supervisor.first_move.done
 
 
 @pytest.mark.slow
@@ -237,7 +263,7 @@ def test_the_clock_of_a_task_slows_down_without_steps() -> None:
 
 def responses(gain: float, band: float, late: int, sign: float = 1.0, seconds: float = 8.0, seed: int = 0) -> Array:
     """Greatest excess over the range of responses, as time at top speed, (A,) [s]."""
-    monitor, rng = ResponseRange(VALVES, DT, 0.08), np.random.default_rng(seed)
+    monitor, rng = ResponseRange(VALVES, DT, Tolerance()), np.random.default_rng(seed)
     noise, fastest = np.array([5e-4, 2e-5, 2e-5, 2e-5]), np.array([valve.fastest for valve in VALVES])
     drive, past, worst = np.zeros(4), [np.zeros(4)] * 60, np.zeros(4)
     for k in range(round(seconds / DT)):

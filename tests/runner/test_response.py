@@ -13,6 +13,7 @@ from sysid_rl.control import tune
 from sysid_rl.run import faults as f
 from sysid_rl.run.faults import Injection
 from sysid_rl.run.response import ResponseMonitor
+from sysid_rl.run.response_range import Tolerance
 from sysid_rl.run.valves import axis_valves
 
 VALVES = axis_valves(tune(PLANT), DT)
@@ -21,7 +22,7 @@ LATE = f.Delayed(0.2, stamped=False)
 
 def answers(late: int, gain: float = 1.0, band: float = 0.0, seconds: float = 6.0) -> list[float]:
     """Seconds of delay found each cycle, 0 where none is, on axes that go to and fro and answer ``late`` cycles late."""
-    response, rng = ResponseMonitor(VALVES, DT, 0.08), np.random.default_rng(0)
+    response, rng = ResponseMonitor(VALVES, DT, Tolerance()), np.random.default_rng(0)
     drive, past, found = np.zeros(4), [np.zeros(4)] * 100, []
     for k in range(round(seconds / DT)):
         command = 0.5 * np.sin(2.0 * np.pi * k * DT / 3.0) * np.ones(4)
@@ -50,7 +51,7 @@ def test_gain_and_dead_band_are_no_delay(late: int, gain: float, band: float) ->
 
 
 def test_readings_that_do_not_come_are_no_delay() -> None:
-    response = ResponseMonitor(VALVES, DT, 0.08)
+    response = ResponseMonitor(VALVES, DT, Tolerance())
     for k in range(200):
         response.measure(np.full(4, np.nan if k % 3 else 0.0))
         response.step(np.full(4, 0.5))

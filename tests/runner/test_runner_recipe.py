@@ -79,7 +79,9 @@ def test_every_threshold_has_a_bound_with_its_reason() -> None:
     assert {key for key in thresholds if not key.endswith(".reaction")} == set(BOUNDS)
     for key, bounds in BOUNDS.items():
         check, _, name = key.partition(".")
-        for value in (1e6, 1.01 * bounds.most, float("nan"), 0.0, -1.0):
+        if bounds.zero:
+            assert getattr(getattr(CheckSettings(), check), name) == 0.0
+        for value in (1e6, 1.01 * bounds.most, float("nan"), *(() if bounds.zero else (0.0,)), -1.0):
             given: Any = round(value) if name in ("turns", "late_turns") and value == value else value
             if given == bounds.most:
                 continue

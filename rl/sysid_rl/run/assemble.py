@@ -40,6 +40,11 @@ from sysid_rl.train.tracking_task import TrackingTask, plan_tracking
 
 Array = npt.NDArray[np.float64]
 
+#: Motion of the end effector by which an axis answers before a path begins [m].
+ASIDE = 0.06
+#: The same as a share of a joint's range, at most, and the share by which motion is evaluated.
+MOST_ASIDE, SMALL = 0.1, 0.01
+
 
 @dataclass(frozen=True)
 class Assembly:
@@ -80,6 +85,19 @@ class Assembly:
             return None
         pendulum = pendulum_of(self.loaded.plant)
         return input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
+
+    def aside(self, chain: ControlChain) -> Array:
+        """Ways of the joints (A,) at the start of the path that move the end effector by :data:`ASIDE`; 0 out of the fence."""
+        assert self.tracking is not None
+        low, high = self.limits.low, self.limits.high
+        joints = self.tracking.start
+        steps = SMALL * (high - low) * np.where(joints > 0.5 * (low + high), -1.0, 1.0)
+        ends = chain.tip(np.concatenate([joints[None], joints + np.diag(steps)]))
+        ways = np.linalg.norm(ends[1:] - ends[0], axis=1)
+        aside = steps * np.minimum(ASIDE / np.maximum(ways, 1e-6), MOST_ASIDE / SMALL)
+        ends = chain.tip(joints + np.diag(aside))
+        inside = ((ends >= self.limits.fence_low) & (ends <= self.limits.fence_high)).all(axis=1)
+        return np.where(inside, aside, 0.0)
 
     def check_transport(self, transport: Transport) -> None:
         """Raise SettingsError unless a transport has the machine's axes, readings of what commands drive, known signals."""
@@ -124,6 +142,7 @@ class Assembly:
             return TrackPath(
                 self.tracking.path, self.tracking.start, limits, dt,
                 ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps, shaper=self.shaper,
+                settle_s=track.settle_s, aside=self.aside(chain) if recipe.checks.on("first_move") else None,
             )  # fmt: skip
         if name == "commission":
             return Commission(self.machine, command_filter, recipe.commission)

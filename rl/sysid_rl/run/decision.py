@@ -114,7 +114,7 @@ class Decider:
             decision.requested_commands, estimate, self.estimator.dead_reckonings
         )
         verdicts += exceeded
-        self.chain.override(decision.commands)
+        self.chain.override(decision.commands - self.supervisor.first_move.raised)
         if not held:
             self._clock.advance(self.supervisor.first_move.pace)
         return decision

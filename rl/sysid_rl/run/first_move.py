@@ -6,12 +6,13 @@ steps:
 1. its reading alone moves, to the side of its command. The axes take turns; valves of axes that have not answered are neutral.
 2. its response excludes a gain beyond :data:`sysid_rl.run.response.OTHER_GAINS`, whatever its dead-band. Then it is released.
 
-Until then an axis moves the end effector at about ``checks.first_move.speed``, by commands that rise slowly. The task waits:
+Until then an axis moves the end effector at about ``checks.first_move.speed``, by commands that rise slowly. Where dead-bands
+may be wider than the plant's (``checks.motion.wider``), the command of an axis that stands rises by that too. The task waits:
 its clock slows down where setpoints are behind by more than :data:`LAG`. It is a fault when
 
 - an axis leaves the range of responses (:mod:`sysid_rl.run.response_range`): it moves to the wrong side, or without a command;
 - the command of an axis moves another reading;
-- nothing moves on :data:`SILENT` by the plant;
+- nothing moves on :data:`SILENT` by the plant with the widest dead-bands of the tolerance;
 - the response excludes the plant's gain.
 """
 
@@ -43,7 +44,7 @@ ACCELERATION = 0.1
 START = 0.008
 #: Least demand for which an axis gets its turn, as speed at the end effector [m/s], and time for a lag as a demand [s].
 DEMAND, LAG_S = 0.001, 0.1
-#: Largest command beyond the plant's dead-band.
+#: Largest command beyond the plant's dead-band, and the wider one of the tolerance.
 EXTRA_BAND = 0.15
 #: Motion at the end effector by the plant: for an answer; after which a reading that stands is compared with the others; after
 #: which none may stand; and after which the speed of an axis whose gain is not certain is twice that of its beginning [m].
@@ -99,6 +100,8 @@ class FirstMove:
         self.elapsed_s, self.released_s = 0.0, np.full(count, np.nan)
         #: Cycles in which the commands of an axis were reduced, (A,).
         self.reduced = np.zeros(count, dtype=np.int64)
+        #: What the newest commands contain beyond the requested ones, (A,): the controller did not request it.
+        self.raised = np.zeros(count)
 
     @property
     def done(self) -> bool:
@@ -112,14 +115,12 @@ class FirstMove:
         self.shares, self.pace, self.elapsed_s, self.released_s = np.zeros(axes), 1.0, 0.0, np.full(axes, np.nan)
         self.reduced = np.zeros(axes, dtype=np.int64)
         self._turn, self._lag, self._cycle, self._pace_rate = -1, np.zeros(axes), 0, 0.0
+        #: By what commands forwards, and backwards, of axes that stood are raised, (2, A).
+        self._raised = np.zeros((2, axes))
         #: Motion by the plant so far, (A,) [m]; gains that were not the plant's, in a row, (A,).
         self._travel, self._other_gain = np.zeros(axes), np.zeros(axes, dtype=int)
         #: Where the present stroke of each axis began: measured, and by the plant; its direction; cycles since its onset, (A,).
-        self._rest, self._from, self._before = (
-            self.range.measured.copy(),
-            self.range.predicted.copy(),
-            self.range.predicted.copy(),
-        )
+        self._rest, self._from, self._before = self.range.measured.copy(), self._by_plant, self.range.predicted.copy()
         self._direction, self._onset = np.zeros(axes), np.full(axes, -1)
         self._at(joints, drive)
         own = np.array([max(valve.up, valve.down) for valve in self.valves]) * self._at_tip
@@ -149,20 +150,27 @@ class FirstMove:
 
     def commands(self, requested: Array, joints: Array, drive: Array) -> Array:
         """Permitted commands (A,) for requested ones (A,)."""
+        self.raised = np.zeros(len(self.axes))
         if self.done:
             return requested
         self.elapsed_s += self.dt
         wanted = np.nan_to_num(requested)
         self._take_turns(wanted, joints, drive)
-        turn = np.arange(len(self.axes)) == self._turn
-        rises = (np.abs(wanted) > self._most) & (np.abs(self.range.speed) * self._at_tip < self._speeds)
+        axes = np.arange(len(self.axes))
+        turn, speed = axes == self._turn, np.abs(self.range.speed) * self._at_tip
+        side = (wanted < 0.0).astype(int)
+        stands = ~self.released & (self.answered | turn) & (self._by_valves(wanted) != 0.0) & (speed < START)
+        self._raised[side, axes] = np.minimum(self._raised[side, axes] + stands * self._rate * self.dt, self.range.wider)
+        more = wanted + np.where(self.released, 0.0, np.sign(wanted) * self._raised[side, axes])
+        rises = (np.abs(more) > self._most) & (speed < self._speeds)
         self._most = np.where(
             rises, np.maximum(self._most, np.minimum(self._most + self._rate * self.dt, self._top)), self._most
         )
-        slow = np.where(self.answered | turn, np.clip(wanted, -self._most, self._most), 0.0)
-        passed = np.where(self.released, wanted, slow)
-        self.reduced += np.abs(wanted - passed) > 1e-9
-        return passed
+        slow = np.where(self.answered | turn, np.clip([wanted, more], -self._most, self._most), 0.0)
+        usual, passed = np.where(self.released, wanted, slow)
+        self.raised = passed - usual
+        self.reduced += np.abs(wanted - usual) > 1e-9
+        return np.asarray(passed)
 
     def follow(self, wanted: Array, setpoints: Array, joints: Array, limited: Mask) -> None:
         """Record the lag of ``setpoints`` (A,) behind the ``wanted`` ones, and that of ``joints`` (A,) behind them.
@@ -213,8 +221,7 @@ class FirstMove:
         return [] if wrong is None else [wrong]
 
     def _take_turns(self, wanted: Array, joints: Array, drive: Array) -> None:
-        speeds = np.array([abs(valve.speed(float(u))) for valve, u in zip(self.valves, wanted, strict=True)])
-        demand = np.where(self.answered, -1.0, np.maximum(speeds * self._at_tip, self._lag / LAG_S))
+        demand = np.where(self.answered, -1.0, np.maximum(np.abs(self._by_valves(wanted)) * self._at_tip, self._lag / LAG_S))
         turn = self._turn
         if turn >= 0 and (self.answered[turn] or (demand[turn] < DEMAND and demand.max() > 2.0 * DEMAND)):
             self._turn = turn = -1
@@ -223,7 +230,7 @@ class FirstMove:
             self._turn = turn = int(np.argmax(demand))
             self._at(joints, drive)
             waiting = ~self.answered
-            self._rest[waiting], self._from[waiting] = self.range.measured[waiting], self.range.predicted[waiting]
+            self._rest[waiting], self._from[:, waiting] = self.range.measured[waiting], self._by_plant[:, waiting]
             self._onset[turn] = -1
 
     def _follow_strokes(self) -> None:
@@ -232,7 +239,8 @@ class FirstMove:
         self._travel += np.abs(predicted - self._before) * self._at_tip
         self._before = predicted.copy()
         turned = self.answered & (direction * self._direction < 0.0)
-        self._rest[turned], self._from[turned], self._onset[turned] = self.range.measured[turned], predicted[turned], -1
+        self._rest[turned], self._from[:, turned] = self.range.measured[turned], self._by_plant[:, turned]
+        self._onset[turned] = -1
         self._direction = np.where(direction != 0.0, direction, self._direction)
         moved = np.abs(self.range.measured - self._rest) > self._least
         self._onset = np.where(self._onset >= 0, self._onset + 1, np.where(moved, 0, -1))
@@ -248,7 +256,16 @@ class FirstMove:
         own = np.array([max(valve.up, valve.down) for valve in self.valves]) * self._at_tip
         bands = np.array([max(valve.positive, valve.negative) for valve in self.valves])
         beyond = 1.5 * self._speeds / own
-        return np.asarray(bands + np.where(self.answered, BAND + beyond, np.minimum(EXTRA_BAND, beyond)))
+        return np.asarray(bands + self.range.wider + np.where(self.answered, BAND + beyond, np.minimum(EXTRA_BAND, beyond)))
+
+    def _by_valves(self, commands: Array) -> Array:
+        """Speeds (A,) by the plant's valves at commands (A,)."""
+        return np.array([valve.speed(float(u)) for valve, u in zip(self.valves, commands, strict=True)])
+
+    @property
+    def _by_plant(self) -> Array:
+        """Travel by the plant, and with the widest dead-bands of the tolerance, (2, A)."""
+        return np.stack([self.range.predicted, self.range.certain])
 
     @property
     def _least(self) -> Array:
@@ -267,21 +284,21 @@ class FirstMove:
     def _answer(self, i: int) -> Violation | None:
         """The violation of the axis whose turn it is, if any; it has answered if its reading alone moves, to the right side."""
         name, measured, least = self.axes[i], self.range.measured - self._rest, self._least
-        predicted = float(self.range.predicted[i] - self._from[i])
-        travel, own = abs(predicted) * float(self._at_tip[i]), abs(float(measured[i])) * float(self._at_tip[i])
+        predicted, certain = (self._by_plant - self._from)[:, i]
+        travel, sure, own = np.abs([predicted, certain, measured[i]]) * self._at_tip[i]
         others = ~self.answered & self.range.still & (np.abs(measured) > np.maximum(least, CROSS * own / self._at_tip))
         others[i] = False
-        still = own < STILL * travel
+        still = own < STILL * sure
         if travel > COMPARED and others.any():
             other = self.axes[int(np.flatnonzero(others)[0])]
             text = f"the command of {name} moves the reading of {other}{'' if still else ' as well'}: "
             text += "valves or sensors are swapped" if still else "two axes share a valve or a sensor"
-            return self._violation(i, own, travel, text)
-        if travel > SILENT and still:
+            return self._violation(i, float(own), float(travel), text)
+        if sure > SILENT and still:
             text = f"the command of {name} moves nothing: its valve, its sensor, or a dead-band or play beyond the plant's"
-            return self._violation(i, own, travel, text)
-        onwards = float(measured[i]) * predicted > 0.0 and abs(float(measured[i])) > 2.0 * least[i]
-        self.answered[i] = travel > ANSWER and own > ANSWER and onwards and not still and not others.any()
+            return self._violation(i, float(own), float(travel), text)
+        onwards = measured[i] * predicted > 0.0 and abs(float(measured[i])) > 2.0 * least[i]
+        self.answered[i] = min(travel, own) > ANSWER and onwards and not still and not others.any()
         return None
 
     def _gain(self, i: int) -> Violation | None:

@@ -46,6 +46,7 @@ class TrackSettings(Strict):
         centre: of helix or circle [m]; by default where the joints keep farthest from their limits.
         laps: number of rounds.
         ease_s: duration of the speed ramps at beginning and end.
+        settle_s: time for which the machine rests at the beginning of the path, e.g. until a hanging tool does.
         shaper: of the path, so that a hanging tool does not swing; at frequency and damping of the plant's ``gripper_sway``.
         live_port: follow targets from datagrams to this loopback port instead.
         live_speed, live_s: greatest speed of such a target [m/s], and duration [s].
@@ -55,6 +56,7 @@ class TrackSettings(Strict):
     centre: tuple[float, float, float] | None = None
     laps: int = 1
     ease_s: float = 1.0
+    settle_s: float = 0.5
     shaper: Literal["none", "zv", "zvd"] = "none"
     live_port: int | None = None
     live_speed: float = 0.1

@@ -3,7 +3,7 @@
 For each axis, the measurements of the last :data:`WINDOW_S` are compared with ``y(t) = c + g·x(t − τ)``; x is the travel by the
 commands through the plant's valve after its dead time, τ the delay beyond that dead time, of commands and readings together. It
 needs no stamp, and may have begun within the window: τ = 0 until :data:`SINCE_S` ago. Free parameters are the position c, the
-gain g within :data:`GAINS`, and the difference of the dead-bands from the plant's (:data:`BANDS`).
+gain g within :data:`GAINS`, and the difference of the dead-bands from the plant's.
 
 An axis is late if every τ up to half of the accepted delay leaves an error above :data:`LEAST_S` at top speed, and a τ of at
 least the accepted delay leaves at most :data:`SHARE` of it, :data:`REPEATS` times in a row.
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sysid_rl.run.response_range import Tolerance
 from sysid_rl.run.valves import AxisValve, ValveArray
 
 Array = npt.NDArray[np.float64]
@@ -32,8 +33,9 @@ SINCE_S = (0.15, 0.3, 0.5)
 REPEATS = 2
 #: Range of the true gain over the plant's.
 GAINS = (0.7, 1.4)
-#: True dead-band minus the plant's [command], for each direction separately.
-BANDS = tuple(0.02 * k for k in range(-4, 9))
+#: True dead-band minus the plant's [command], for each direction separately: from the first to the second, wider by the
+#: tolerance, in steps of at least the third and at most so many.
+BANDS, MOST_BANDS = (-0.08, 0.16, 0.02), 16
 #: Late responses use every fourth of them. A slow command crosses a wrong dead-band late, so that a response in time needs the
 #: finer grid.
 COARSE = 4
@@ -64,11 +66,14 @@ class ResponseMonitor:
     Args:
         valves: of the axes, from the plant.
         dt: of a cycle [s].
-        accepted: delay beyond the plant's dead time [s].
+        tolerance: of the machine.
     """
 
-    def __init__(self, valves: Sequence[AxisValve], dt: float, accepted: float) -> None:
-        self.dt, axes = dt, len(valves)
+    def __init__(self, valves: Sequence[AxisValve], dt: float, tolerance: Tolerance) -> None:
+        self.dt, axes, accepted = dt, len(valves), tolerance.delay_s
+        low, high, step = BANDS[0], BANDS[1] + tolerance.wider, BANDS[2]
+        #: Differences of the dead-bands that are compared, (bands,).
+        self.bands = np.linspace(low, high, 1 + min(round((high - low) / step), MOST_BANDS))
         self._window, longest = round(WINDOW_S / dt), round(LONGEST_S / dt)
         self._every = max(axes, round(EVERY_S / dt))
         lags = np.arange(0, longest + 1, max(1, round(STEP_S / dt)))
@@ -84,14 +89,19 @@ class ResponseMonitor:
         self._valves = ValveArray(valves)
         self.fastest = self._valves.fastest
         #: Travel forwards and backwards by the commands, (2, bands, A, cycles), the newest last.
-        self._travel = np.zeros((2, len(BANDS), axes, self._window + longest))
+        self._travel = np.zeros((2, len(self.bands), axes, self._window + longest))
         #: Speeds within the dead time, (2, bands, A, cycles), the newest first.
         late_by = [valve.dead_steps for valve in valves]
-        self._coming = np.zeros((2, len(BANDS), axes, max(late_by)))
+        self._coming = np.zeros((2, len(self.bands), axes, max(late_by)))
         self._arrives = np.arange(axes), np.array(late_by) - 1
         self._measured = np.full((axes, self._window), np.nan)
         self._cycle = 0
         self._late: list[LateAxis | None] = [None] * axes
+
+    @property
+    def hypotheses(self) -> int:
+        """Pairs of dead-bands and delays in time that :meth:`moments` compares."""
+        return len(self.bands) ** 2 * self.usual
 
     @property
     def late(self) -> tuple[LateAxis, ...]:
@@ -108,7 +118,7 @@ class ResponseMonitor:
         self._travel[..., :-1] = self._travel[..., 1:]
         self._travel[..., -1] += self._coming[:, :, *self._arrives] * self.dt
         self._coming[..., 1:] = self._coming[..., :-1].copy()
-        forwards, backwards = self._valves.speeds(commands, np.array(BANDS)[:, None])
+        forwards, backwards = self._valves.speeds(commands, self.bands[:, None])
         self._coming[0, ..., 0], self._coming[1, ..., 0] = forwards, -backwards
 
     def measure(self, measured: Array) -> None:
@@ -129,7 +139,7 @@ class ResponseMonitor:
         """
         own = np.flatnonzero(np.isfinite(self._measured[i, -cycles:])) + self._window - cycles
         if len(own) < 2:
-            return np.zeros(len(BANDS) ** 2 * self.usual), np.zeros(len(BANDS) ** 2 * self.usual), 0.0, 0
+            return *np.zeros((2, self.hypotheses)), 0.0, 0
         columns = self._travel.shape[-1] - self._window + own - self._delays[: self.usual, :1]
         x = _sums(self._travel[:, :, i])[:, columns]
         x -= x.mean(axis=2, keepdims=True)
@@ -166,7 +176,7 @@ class GainComparison:
 
     def __init__(self, response: ResponseMonitor) -> None:
         self.response, self.cycles = response, round(INTERVAL_S / response.dt)
-        self._axes, self._hypotheses = len(response.fastest), len(BANDS) ** 2 * response.usual
+        self._axes, self._hypotheses = len(response.fastest), response.hypotheses
         self.begin()
 
     def begin(self) -> None:

@@ -1,10 +1,10 @@
 """Motion that the commands do not explain: measured motion outside the range of responses of machines like the plant.
 
 For the commands sent, a range of speeds follows from the plant's valve with every gain within :data:`GAINS` of the plant's,
-every dead-band within :data:`BAND` of it, and every delay from none to the dead time plus an accepted delay. Play may absorb
-motion after each reversal. What the measured motion exceeds the range by is added up, and what it stays inside by is
-subtracted, down to zero (Page's CUSUM). An axis leaves the range at its own speed where it stands, moves by no command, to the
-wrong side, or by the wrong amount; noise and a wrong dead-band do not leave it.
+every dead-band within :data:`BAND` of it, or wider as the :class:`Tolerance` permits, and every delay from none to the dead
+time plus that of the tolerance. Play may absorb motion after each reversal. What the measured motion exceeds the range by is
+added up, and what it stays inside by is subtracted, down to zero (Page's CUSUM). An axis leaves the range at its own speed
+where it stands, moves by no command, to the wrong side, or by the wrong amount; noise and a wrong dead-band do not leave it.
 
 Source: Page, Biometrika 41 (1954).
 """
@@ -13,18 +13,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.plant import Plant
+from sysid_rl.run.checks.settings import BOUNDS, CheckSettings
 from sysid_rl.run.valves import AxisValve, ValveArray
 
 Array = npt.NDArray[np.float64]
 
 #: Range of the true gain over the plant's.
 GAINS = (0.6, 1.5)
-#: Largest difference of the true dead-band from the plant's [command].
+#: Difference of a true dead-band from the plant's that any machine may have [command].
 BAND = 0.08
+#: Standard deviations of what the plant knows of a dead-band or a delay.
+KNOWN = 3.0
 #: Play beyond the plant's, as time at top speed [s].
 PLAY_S = 0.025
 #: Creep of a valve that counts as none, as a share of the top speed.
@@ -37,28 +42,56 @@ SIGMAS = 12.0
 NOISE_SHARE = 0.02
 
 
+@dataclass(frozen=True)
+class Tolerance:
+    """What a machine may differ by from its plant.
+
+    Args:
+        delay_s: of the response, beyond the plant's dead time [s].
+        wider: dead-bands beyond the plant's, beside :data:`BAND` [command].
+    """
+
+    delay_s: float = 0.08
+    wider: float = 0.0
+
+    @classmethod
+    def of(cls, plant: Plant, settings: CheckSettings) -> Tolerance:
+        """That of a recipe, and of the uncertainty that the plant states of its own values."""
+
+        def known(effect: str) -> float:
+            variances = np.diag(plant.uncertainty.covariance)
+            own = [float(v) for place, v in zip(plant.uncertainty.places, variances, strict=True) if place.effect == effect]
+            return KNOWN * math.sqrt(max(own, default=0.0))
+
+        return cls(
+            min(settings.delay.after_s + known("input_delay"), BOUNDS["delay.after_s"].most),
+            min(settings.motion.wider + known("valve_deadband"), BOUNDS["motion.wider"].most),
+        )
+
+
 class ResponseRange:
     """The range of all axes of one machine.
 
     Args:
         valves: of the axes, from the plant.
         dt: of a cycle [s].
-        accepted: delay beyond the plant's dead time [s].
+        tolerance: of the machine.
     """
 
-    def __init__(self, valves: Sequence[AxisValve], dt: float, accepted: float) -> None:
-        self.dt, axes = dt, len(valves)
+    def __init__(self, valves: Sequence[AxisValve], dt: float, tolerance: Tolerance) -> None:
+        self.dt, self.wider, axes = dt, tolerance.wider, len(valves)
         self._valves = ValveArray(valves)
         self._fastest = self._valves.fastest
         self._play = np.array([valve.backlash for valve in valves]) + PLAY_S * self._fastest
-        late = [valve.dead_steps + round((accepted + FILTER_S) / dt) for valve in valves]
-        #: Speeds by the plant, the least and the greatest of the range, (3, A, cycles), the newest first.
-        self._speeds = np.zeros((3, axes, max(late) + 1))
+        late = [valve.dead_steps + round((tolerance.delay_s + FILTER_S) / dt) for valve in valves]
+        #: Speeds by the plant, the least and the greatest of the range, and by the plant with the widest dead-bands that the
+        #: tolerance permits, (4, A, cycles), the newest first.
+        self._speeds = np.zeros((4, axes, max(late) + 1))
         self._within = np.arange(max(late) + 1) <= np.array(late)[:, None]
         self._arrives = np.arange(axes), np.array([valve.dead_steps for valve in valves])
         self._keep = math.exp(-dt / FILTER_S)
-        #: Travel by the plant since the beginning, (A,).
-        self.predicted = np.zeros(axes)
+        #: Travel by the plant since the beginning, and with the widest dead-bands, (A,).
+        self.predicted, self.certain = np.zeros((2, axes))
         self.reset()
 
     def reset(self) -> None:
@@ -91,7 +124,7 @@ class ResponseRange:
     @property
     def still(self) -> npt.NDArray[np.bool_]:
         """Whether no command within the range's delays moves the axis, (A,)."""
-        return np.asarray(~(self._speeds[1:] * self._within).any(axis=(0, 2)))
+        return np.asarray(~(self._speeds[1:3] * self._within).any(axis=(0, 2)))
 
     @property
     def direction(self) -> Array:
@@ -112,9 +145,10 @@ class ResponseRange:
         """Record a step with ``commands`` (A,), zero if neutral."""
         self._speeds[..., 1:] = self._speeds[..., :-1].copy()
         own = self._speed(commands, 1.0, 0.0)
-        ends = np.stack([self._speed(commands, GAINS[0], BAND), self._speed(commands, GAINS[1], -BAND)])
-        self._speeds[0, :, 0], self._speeds[1, :, 0], self._speeds[2, :, 0] = own, ends.min(axis=0), ends.max(axis=0)
+        ends = np.stack([self._speed(commands, GAINS[0], BAND + self.wider), self._speed(commands, GAINS[1], -BAND)])
+        self._speeds[..., 0] = own, ends.min(axis=0), ends.max(axis=0), self._speed(commands, 1.0, self.wider)
         self.predicted += self._speeds[0][self._arrives] * self.dt
+        self.certain += self._speeds[3][self._arrives] * self.dt
         least = np.where(self._within, self._speeds[1], np.inf).min(axis=1) * self.dt
         most = np.where(self._within, self._speeds[2], -np.inf).max(axis=1) * self.dt
         ways = np.stack([most, -least])

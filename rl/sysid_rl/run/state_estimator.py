@@ -14,7 +14,7 @@ from sysid.signals import axis_signal
 from sysid_rl.run.checks.settings import CheckSettings
 from sysid_rl.run.clock import SECOND
 from sysid_rl.run.response import LateAxis, ResponseMonitor
-from sysid_rl.run.response_range import ResponseRange
+from sysid_rl.run.response_range import ResponseRange, Tolerance
 from sysid_rl.run.transport import RELEASED_INPUTS, MachineInputs, Measurement
 from sysid_rl.run.valves import AxisValve, DeadReckoning
 
@@ -35,6 +35,7 @@ class Sensor:
     Args:
         signal: its canonical name; ``axis``: its number; ``driven``: it measures what the command drives.
         range: of its values; ``fastest``: top speed, in its unit.
+        play: that the drive may take up before it moves, in its unit.
     """
 
     signal: str
@@ -42,6 +43,7 @@ class Sensor:
     driven: bool
     range: float
     fastest: float
+    play: float = 0.0
     value: float = math.nan
     count: int = -1
     age_s: float = math.inf
@@ -101,7 +103,10 @@ class StateEstimator:
         self.plant, self.valves, self.dt, self.settings = plant, valves, dt, settings
         axes = plant.machine.axes
         self.linkages = [plant.linkages[axis.name] if axis.drives == "cylinder" else None for axis in axes]
-        self.driven = [Sensor(axis.driven, i, True, v.high - v.low, v.fastest) for i, (axis, v) in enumerate(zip(axes, valves))]  # noqa: B905
+        self.driven = [
+            Sensor(axis.driven, i, True, valve.high - valve.low, valve.fastest, valve.backlash)
+            for i, (axis, valve) in enumerate(zip(axes, valves, strict=True))
+        ]
         self.extra = []
         for i, axis in enumerate(axes):
             linkage, signal = self.linkages[i], axis_signal(axis.name, "joint")
@@ -112,8 +117,9 @@ class StateEstimator:
                 self.extra.append(Sensor(signal, i, False, reach, valves[i].fastest * steep))
         self.sensors = [*self.driven, *self.extra]
         self.dead_reckonings = [DeadReckoning(valve, dt, CORRECTION_S) for valve in valves]
-        self.response = ResponseMonitor(valves, dt, settings.delay.after_s)
-        self.response_range = ResponseRange(valves, dt, settings.delay.after_s)
+        tolerance = Tolerance.of(plant, settings)
+        self.response = ResponseMonitor(valves, dt, tolerance)
+        self.response_range = ResponseRange(valves, dt, tolerance)
 
     def reset(self) -> None:
         """Reset the history, after a fault and before the first cycle.
@@ -130,12 +136,14 @@ class StateEstimator:
     def step(self, commands: Array) -> None:
         """Record a step with ``commands`` (A,), zero if neutral."""
         self.response.step(commands)
+        certain = self.response_range.certain.copy()
         self.response_range.step(commands)
-        for sensor, dead_reckoning, command in zip(self.driven, self.dead_reckonings, commands, strict=True):
+        ways = np.abs(self.response_range.certain - certain)
+        for sensor, dead_reckoning, command, way in zip(self.driven, self.dead_reckonings, commands, ways, strict=True):
             before = dead_reckoning.position
             dead_reckoning.step(float(command))
             if not math.isnan(before):
-                sensor.still_since += abs(dead_reckoning.position - before)
+                sensor.still_since += min(abs(dead_reckoning.position - before), float(way))
 
     def update(
         self, readings: Mapping[str, Measurement], inputs: MachineInputs, now_ns: int, lateness_s: float = 0.0, missed: int = 0

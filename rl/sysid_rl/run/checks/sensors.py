@@ -31,7 +31,7 @@ def _check(sensor: Sensor, settings: CheckSettings, moving: bool) -> Violation |
     if sensor.jump > limit:
         text = f"{name} jumped by {sensor.jump:.4g}"
         return Violation("jump", name, settings.jump.reaction, sensor.jump, limit, text)
-    limit = settings.frozen.seconds * sensor.fastest
+    limit = settings.frozen.seconds * sensor.fastest + sensor.play
     if moving and sensor.driven and sensor.still_since > limit and sensor.repeats >= REPEATS:
         text = f"{name} stays at {sensor.value:.6g} while its axis must have moved by {sensor.still_since:.4g}"
         return Violation("frozen", name, settings.frozen.reaction, sensor.still_since, limit, text)

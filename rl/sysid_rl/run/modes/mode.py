@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -115,22 +116,30 @@ class Approach:
         to: joints (A,).
         limits, dt: of the machine.
         settle_s: settling time [s].
+        aside: what an axis moves at least, forth and back where its way is shorter, so that it has answered before the task,
+            (A,).
     """
 
-    def __init__(self, to: Array, limits: Limits, dt: float, settle_s: float = 0.5) -> None:
+    def __init__(self, to: Array, limits: Limits, dt: float, settle_s: float = 0.5, aside: Array | None = None) -> None:
         self.to, self._limits, self._dt, self._settle = np.array(to), limits, dt, round(settle_s / dt)
-        self._move: Move | None = None
+        self._aside = np.zeros(len(self.to)) if aside is None else aside
+        self._moves: tuple[Move, ...] = ()
 
     def begin(self, joints: Array) -> None:
-        self._move = Move(joints, self.to, self._limits, self._dt)
+        near = np.abs(self.to - joints) < np.abs(self._aside)
+        stations = [joints, self.to + self._aside * near, self.to] if near.any() else [joints, self.to]
+        self._moves = tuple(Move(one, other, self._limits, self._dt) for one, other in itertools.pairwise(stations))
 
     @property
     def steps(self) -> int:
         """Its number of cycles."""
-        assert self._move is not None
-        return self._move.steps + self._settle
+        return sum(move.steps for move in self._moves) + self._settle
 
     def goal(self, k: int) -> Goal:
         """Cycle ``k`` of it."""
-        assert self._move is not None
-        return Goal("approach", joints=self._move.at(k + 1))
+        *first, last = self._moves
+        for move in first:
+            if k < move.steps:
+                return Goal("approach", joints=move.at(k + 1))
+            k -= move.steps
+        return Goal("approach", joints=last.at(k + 1))

@@ -30,6 +30,7 @@ class TrackPath:
         ahead: look-ahead of the policy in cycles.
         ease_s: duration of the speed ramps.
         laps: number of rounds; an open path is followed forth and back.
+        settle_s, aside: of the :class:`~sysid_rl.run.modes.mode.Approach`.
         shaper: of the targets that the policy observes, against the swing of a hanging tool; its mean delay is compensated.
     """
 
@@ -46,6 +47,8 @@ class TrackPath:
         ease_s: float = 1.0,
         laps: int = 1,
         shaper: InputShaper | None = None,
+        settle_s: float = 0.5,
+        aside: Array | None = None,
     ) -> None:
         once = eased(path, ease_s)
         closed = float(np.linalg.norm(path.points[-1] - path.points[0])) < 1e-3
@@ -55,7 +58,7 @@ class TrackPath:
         self.points = np.concatenate([np.tile(once[0], (ahead + late, 1)), *rounds])
         self.aims = self.points if shaper is None else shaper.shaped(self.points, path.rate_hz)
         self.ahead, self._linger = ahead + late, round(LINGER_S / dt) + len(self.aims) - len(self.points)
-        self._approach = Approach(start, limits, dt)
+        self._approach = Approach(start, limits, dt, settle_s, aside)
 
     def begin(self, joints: Array, ee: Array) -> None:
         self._approach.begin(joints)
