@@ -8,9 +8,14 @@ import pytest
 from crane_model import Perfect, crane_plant
 
 from sysid.machine import KnownEffect
+from sysid.networks.mlp import Mlp, Normalisation
+from sysid.networks.policy import PolicyNetwork
+from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.run.chain import ControlChain
 from sysid_rl.train.driven import DrivenEnvironment
 from sysid_rl.train.inverse_kinematics import InverseKinematics, chain_of_plant
+from sysid_rl.train.residual_observation import Residual, ResidualObservation
+from sysid_rl.train.residual_policy import ResidualPolicy
 from sysid_rl.train.task import Task
 
 Array = npt.NDArray[np.float64]
@@ -57,3 +62,27 @@ def test_observations_of_a_run_are_those_of_the_training(environment: DrivenEnvi
 def test_a_policy_that_does_not_observe_the_tool_needs_no_estimate(environment: DrivenEnvironment) -> None:
     assert chain_for(environment.names[:10])._swing is None
     assert chain_for(environment.names)._swing is not None
+
+
+def test_a_policy_that_offsets_inverse_kinematics_runs_with_the_estimated_swing(environment: DrivenEnvironment) -> None:
+    """The offset is in proportion to the swing: a policy of constant actions shows what the run estimates of it."""
+    inverse = InverseKinematics.of(chain_of_plant(PLANT), FORWARD.low, FORWARD.high)
+    view = ResidualObservation(PLANT.machine.axis_names, pendulum_of(PLANT), Residual(), inverse.high - inverse.low)
+    names = (*environment.names[:10], *view.names)
+    same = Normalisation(np.zeros(len(names)), np.ones(len(names)))
+    constant = Mlp((np.zeros((len(names), 4)),), (np.full(4, 0.5),), same, Normalisation(np.zeros(4), np.ones(4)))
+    setting = {"share": 0.05, "full_swing": 0.05, "repeat": 1.0}
+    network = PolicyNetwork(names, FORWARD.joints, constant, -np.ones(4), np.ones(4), full=True, residual=setting)
+    chain = ControlChain(PLANT, FORWARD, inverse, policy=ResidualPolicy(network, PLANT, inverse))
+    begin, target = np.array([0.0, 0.4, -1.2, 0.1]), np.array([0.8, 0.0, 0.3])
+    for _ in range(2):  # the second time after a rest
+        seen = environment.begin(begin, target)
+        chain.rest(chain.controller.drive(begin)[0], begin)
+        reference, largest = ResidualPolicy(network, PLANT, inverse), 0.0
+        for k in range(120):
+            own = chain.ask(seen[0, :4], seen[0, 4:7], target, 2**62, lambda: 0)
+            np.testing.assert_allclose(own, reference.act(seen)[0], atol=1e-4)
+            largest = max(largest, float(np.abs(own - inverse.solve(target[None], seen[:, :4])[0][0]).max()))
+            seen, _, _ = environment.step(np.array([[0.3 if k < 60 else 0.0, 0.5, -1.2, 0.1]]))
+            chain.moved(seen[0, :4], environment.commands[0])
+        assert largest > 0.003, "the swing offsets the setpoints"

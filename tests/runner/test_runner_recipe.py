@@ -201,18 +201,20 @@ def test_a_shaper_needs_a_plant_with_a_hanging_tool(workspace: Path) -> None:
     assert "no gripper_sway: the frequency of the tool is not known" in str(error)
 
 
-def test_a_policy_that_offsets_inverse_kinematics_does_not_run(workspace: Path) -> None:
+def test_a_policy_that_offsets_inverse_kinematics_needs_a_plant_with_a_hanging_tool(workspace: Path) -> None:
     same = Normalisation(np.zeros(10), np.ones(10))
     mlp = Mlp((np.zeros((10, 4)),), (np.zeros(4),), same, Normalisation(np.zeros(4), np.ones(4)))
     setting = {"share": 0.05, "full_swing": 0.05, "repeat": 10.0}
     names = tuple("abcdefghij")
     network = PolicyNetwork(names, names[:4], mlp, -np.ones(4), np.ones(4), full=True, residual=setting)
-    open_workspace(workspace / "ws").models.register("crane-tool", "policy", policy_to_files(network, {}), {"plant": "crane@1"})
+    lineage = {"plant": "crane@1", "forward": "crane-forward@1"}
+    open_workspace(workspace / "ws").models.register("crane-tool", "policy", policy_to_files(network, {}), lineage)
     path = write(workspace, "")
-    path.write_text(path.read_text("utf-8").replace("unpromoted", 'policy = "crane-tool"\nunpromoted'), "utf-8")
+    text = path.read_text("utf-8").replace("unpromoted = [", 'policy = "crane-tool"\nunpromoted = ["crane-tool@1", ')
+    path.write_text(text, "utf-8")
     error = invoke(workspace, path, "--dry-run").exception
     assert isinstance(error, SettingsError)
-    assert "crane-tool@1 offsets inverse kinematics by the swing of the tool" in str(error)
+    assert "no gripper_sway" in error.found
 
 
 def test_versions_have_to_be_promoted_or_named_and_of_this_machine(workspace: Path) -> None:

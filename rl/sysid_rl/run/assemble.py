@@ -15,7 +15,7 @@ from sysid.registry import Registry
 from sysid_rl.control import lookahead_time, tune
 from sysid_rl.control.input_shaper import InputShaper, input_shaper
 from sysid_rl.control.pendulum import pendulum_of
-from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.chain import ControlChain, SignalPolicy
 from sysid_rl.run.command_filter import CommandFilter
 from sysid_rl.run.cycle import Recorder
 from sysid_rl.run.domain import TrainingDomains
@@ -36,6 +36,7 @@ from sysid_rl.run.valves import AxisValve, axis_valves
 from sysid_rl.run.versions import LoadedVersions, load
 from sysid_rl.train.inverse_kinematics import InverseKinematics, chain_of_forward, chain_of_plant
 from sysid_rl.train.reach import joint_limits
+from sysid_rl.train.residual_policy import ResidualPolicy
 from sysid_rl.train.tracking_task import TrackingTask, plan_tracking
 
 Array = npt.NDArray[np.float64]
@@ -76,6 +77,14 @@ class Assembly:
         if self.tracking is not None:
             return np.clip(self.tracking.start, self.limits.low, self.limits.high)
         return np.asarray(0.5 * (self.limits.low + self.limits.high))
+
+    @property
+    def policy(self) -> SignalPolicy | None:
+        """A new policy; None: inverse kinematics. The swing that an offset of inverse kinematics needs is that of the chain."""
+        network = self.loaded.policy
+        if network is None or network.residual is None:
+            return network
+        return ResidualPolicy(network, self.loaded.plant, self.inverse)
 
     @property
     def shaper(self) -> InputShaper | None:
@@ -119,7 +128,7 @@ class Assembly:
         """
         self.check_transport(transport)
         axes, loaded, checks = self.machine.axis_names, self.loaded, self.recipe.checks
-        chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=loaded.policy, lookahead=self.lookahead)
+        chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=self.policy, lookahead=self.lookahead)
         estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = TrainingDomains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda estimate: ""
         supervisor = Supervisor(

@@ -23,6 +23,7 @@ from sysid_rl.run.policy_thread import PolicyThread
 from sysid_rl.train.environment import NamedPolicy
 from sysid_rl.train.inverse_kinematics import InverseKinematics
 from sysid_rl.train.observation import DrivenObservation
+from sysid_rl.train.residual_policy import ResidualPolicy
 from sysid_rl.train.task import ObservationSlices
 
 Array = npt.NDArray[np.float64]
@@ -95,6 +96,8 @@ class ControlChain:
         self.controller.reset(drive)
         self.view.rest()
         self._joints, self._solved = joints[None].copy(), None
+        if isinstance(self.policy, ResidualPolicy):
+            self.policy.rest()
         if self._swing is not None:
             self._swing.reset(self.tip(joints[None]))
             self._below = np.array([[0.0, 0.0, -self._swing.pendulum.length]])

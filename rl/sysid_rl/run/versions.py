@@ -22,7 +22,7 @@ class LoadedVersions:
     """The loaded versions.
 
     Args:
-        policy: None: inverse kinematics.
+        policy: None: inverse kinematics; of one that offsets inverse kinematics, the network.
         actuators: axis → network, if the plant's linkages come from networks.
         versions: all of them, for the log.
         remarks: for the operator, one sentence each.
@@ -52,9 +52,6 @@ def load(registry: Registry, recipe: RunnerRecipe, machine: Machine, where: obje
     if wanted.policy not in KINEMATIC:
         version = registry.load(wanted.policy)
         policy = load_policy(version)
-        if policy.residual is not None:
-            offset = f"{version.reference} offsets inverse kinematics by the swing of the tool, which a run does not measure"
-            raise SettingsError(f"{where}: versions.policy", offset, "a policy that sets joints, or ik-lookahead")
         found.append(version)
         remarks += _policy_lineage(registry, version, found, machine, where)
     actuators: Mapping[str, ActuatorNetwork] = {}

@@ -18,9 +18,9 @@ from sysid.machine.kinematics import GRAVITY
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid.plant.stepper import LaneState, Stepper
-from sysid_rl.control import AxisTuning, CylinderController, response_time
+from sysid_rl.control import AxisTuning, CylinderController
 from sysid_rl.train.environment import Environment
-from sysid_rl.train.observation import DrivenObservation
+from sysid_rl.train.observation import DrivenObservation, dead_steps
 from sysid_rl.train.reach import Reach, tips
 from sysid_rl.train.task import Flags, Task
 
@@ -96,7 +96,7 @@ class DrivenEnvironment(Environment):
         signals = [axis.driven for axis in plant.machine.axes]
         self._noise = np.array([plant.machine.noise.get(signal, 0.0) if noise else 0.0 for signal in signals])
         self._candidates: tuple[Stepper, CylinderController] | None = None
-        self.horizon = max(1, math.ceil(response_time(plant) * sampled) + 1)
+        self.horizon = dead_steps(plant, sampled)
         self.history = self.horizon if history is None else history
         self._target = np.full((size, 3), np.nan)
         self._view = DrivenObservation(plant.machine.axis_names, self.history, sampled, size)

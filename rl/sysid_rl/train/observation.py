@@ -6,14 +6,22 @@ time, the speeds of the joints, and position and speed of the tool relative to t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid.plant import Plant
+from sysid_rl.control import response_time
 from sysid_rl.train.task import ObservationSlices
 
 Array = npt.NDArray[np.float64]
+
+
+def dead_steps(plant: Plant, rate_hz: float) -> int:
+    """Steps of the longest dead time of a plant, and one more."""
+    return max(1, math.ceil(response_time(plant) * rate_hz) + 1)
 
 
 class DrivenObservation:

@@ -11,6 +11,7 @@ from sysid.plant import Plant
 from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.control.swing_estimator import SwingEstimator
 from sysid_rl.train.inverse_kinematics import InverseKinematics
+from sysid_rl.train.observation import DrivenObservation, dead_steps
 from sysid_rl.train.residual_observation import Residual, ResidualObservation
 from sysid_rl.train.task import ObservationSlices
 
@@ -45,9 +46,16 @@ class ResidualPolicy:
             different = next((a for a, b in zip(network.inputs, own, strict=False) if a != b), f"{len(network.inputs)} numbers")
             raise SettingsError(where, f"observes {different}", f"{', '.join(own)}", "It was trained for another machine.")
         rate = plant.machine.rate_hz
+        #: Names of the observations, and of the setpoints.
+        self.inputs = DrivenObservation(names, dead_steps(plant, rate), rate).names
+        self.outputs = network.outputs
         self._estimator = None if measured else SwingEstimator(self._view.pendulum, rate)
         self._solved: Array | None = None
         self._last, self._offset, self._count = (np.zeros((1, len(names))), np.zeros((1, len(names))), 0)
+
+    def rest(self) -> None:
+        """Begin anew with the next observations."""
+        self._solved = None
 
     def reset(self, observations: Array) -> None:
         """Search from the measured joints, without an offset."""
