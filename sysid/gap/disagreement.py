@@ -43,7 +43,7 @@ GROUND = -100.0
 
 def stage_rmse(problem: Problem, theta: Array, recordings: Sequence[Recording]) -> Array:
     """RMSE of each output of a stage over some recordings, (d,); NaN where nothing is measured."""
-    joined = np.concatenate([problem.measured(r) - problem.predict(theta[None], r)[0] for r in recordings])
+    joined = np.concatenate([problem.residual(theta, r) for r in recordings])
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.nansum(joined**2, axis=0) / np.sum(~np.isnan(joined), axis=0)))
 

@@ -100,7 +100,7 @@ def _errors(stage: Stage, model: Fitted) -> dict[str, Array]:
         theta = _without_fold(stage, model, k, folds)
         predicted += [(theta, r) for r in seen[k::folds]]
     problem = stage.problem
-    return {r.name: (problem.measured(r) - problem.predict(theta[None], r)[0]) / stage.sigma for theta, r in predicted}
+    return {r.name: problem.residual(theta, r) / stage.sigma for theta, r in predicted}
 
 
 def _without_fold(stage: Stage, model: Fitted, fold: int, folds: int) -> Array:

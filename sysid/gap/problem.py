@@ -82,6 +82,10 @@ class Problem:
         """Name of its place in the chain, for results."""
         return self.kind.stages[0]
 
+    def residual(self, theta: Array, recording: Recording) -> Array:
+        """Measured less predicted output, (n, d), NaN where missing."""
+        return np.asarray(self.measured(recording) - self.predict(theta[None], recording)[0])
+
     def rate(self, recording: Recording) -> float:
         """Measured rows per second; each static pose has its own bin."""
         if recording.kind == "poses":

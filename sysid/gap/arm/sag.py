@@ -138,7 +138,7 @@ def static_error(
 def _holds(problem: Problem, machine: Machine, theta: Array, recording: Recording) -> tuple[Array, Array, Array]:
     """Error at the end of each hold (m,), direction from which it was reached (m,), and posture (m, A), of one recording."""
     command = recording.values(axis_signal(problem.target, "command"))
-    left = (problem.measured(recording) - problem.predict(theta[None], recording)[0])[:, 0]
+    left = problem.residual(theta, recording)[:, 0]
     joints = np.column_stack([recording.values(axis_signal(name, "joint")) for name in machine.axis_names])
     span = float(np.nanmax(command) - np.nanmin(command)) if np.isfinite(command).any() else 0.0
     moved = np.flatnonzero(~(np.abs(np.diff(command)) <= STILL * span)) + 1  # a missing setpoint ends a hold as well

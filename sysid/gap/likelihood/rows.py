@@ -285,7 +285,7 @@ def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array
     total, count = 0.0, 0
     for recording in recordings:
         width = _width(problem, recording, max(span, BIN)) if recording.kind == "motion" else 1
-        residual = problem.measured(recording) - problem.predict(theta[None], recording)[0]
+        residual = problem.residual(theta, recording)
         bins = len(residual) // width
         if width < 3 or not bins:
             count += int((~np.isnan(residual)).sum())

@@ -183,18 +183,14 @@ def problem_floors(
         for recording in recordings:
             users.setdefault(id(recording), (recording, []))[1].append(k)
     for recording, here in users.values():
-        clean = {k: _error(*stages[k][:2], recording) for k in here}
+        clean = {k: stages[k][0].residual(stages[k][1], recording) for k in here}
         for noisy in _copies(recording, noise, DRAWS, seed):
             for k in here:
-                difference = _error(*stages[k][:2], noisy) - clean[k]
+                difference = stages[k][0].residual(stages[k][1], noisy) - clean[k]
                 there = ~np.isnan(difference).any(axis=1)
                 totals[k] += (difference[there] ** 2).sum(axis=0)
                 counts[k] += int(there.sum())
     return [np.asarray(np.sqrt(total / max(count, 1))) for total, count in zip(totals, counts, strict=True)]
-
-
-def _error(problem: Problem, theta: Array, recording: Recording) -> Array:
-    return np.asarray(problem.measured(recording) - problem.predict(theta[None], recording)[0])
 
 
 def run_floors(
@@ -293,7 +289,7 @@ def shown_floor(model: Model, problem: Problem, recordings: Sequence[Recording],
         rigid = inputs.compared(friction_columns(inputs.speed, inputs.acceleration, load))
         moving = ~inputs.rests[inputs.rows]  # at rest the measured force stands for the model's, and leaves nothing
         columns.append(np.hstack([rigid, *(part[:, :, 0] for part in smooth(recording).values())])[moving])
-        target.append((problem.measured(recording) - problem.predict(theta[None], recording)[0])[moving, 0])
+        target.append(problem.residual(theta, recording)[moving, 0])
     table, force = np.concatenate(columns), np.concatenate(target)
     if len(force) < ROWS_PER_COLUMN * table.shape[1]:
         return sigma

@@ -84,7 +84,7 @@ def worst_residual(
     moving = [recording for recording in recordings if recording.kind == "motion"]
     if not moving:
         return None
-    joined = np.concatenate([problem.measured(r) - problem.predict(theta[None], r)[0] for r in moving])
+    joined = np.concatenate([problem.residual(theta, r) for r in moving])
     sizes = [(float(np.sqrt(np.nanmean(left**2))), k) for k, left in enumerate(joined.T) if np.isfinite(left).any()]
     if not sizes:
         return None

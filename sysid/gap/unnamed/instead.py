@@ -115,7 +115,7 @@ def position_residuals(stage: Stage, theta: Array, axis: Axis) -> list[PositionR
     middle, half = span_of(tuple(seen), axis.driven)
     found = []
     for recording in seen:
-        residual = (problem.measured(recording) - problem.predict(theta[None], recording)[0])[:, 0] / stage.sigma[0]
+        residual = problem.residual(theta, recording)[:, 0] / stage.sigma[0]
         columns = legvander((filled(recording.values(axis.driven)[problem.rows(recording)]) - middle) / half, DEGREE)
         there = np.isfinite(residual)
         residual, columns = residual[there], columns[there]

@@ -216,11 +216,10 @@ def _p_value(before: Problem, theta: Array, after: Problem, other: Array, record
     """p-value of the gain on these recordings: squared errors of blocks, of rates where the stage integrates."""
     gains = []
     for recording in recordings:
-        measured = before.measured(recording)[:, 0]
         width = max(1, round(BLOCK_S * before.rate(recording)))
         squares = []
         for problem, values in ((before, theta), (after, other)):
-            error = measured - problem.predict(values[None], recording)[0][:, 0]
+            error = problem.residual(values, recording)[:, 0]
             error = error[: len(error) // width * width].reshape(-1, width)
             means = np.nanmean(np.where(np.isfinite(error).any(axis=1, keepdims=True), error, 0.0), axis=1)
             squares.append((np.diff(means) if problem.kind.integrates else means) ** 2)
