@@ -12,11 +12,8 @@ from sysid_rl.control import lookahead_time
 from sysid_rl.train.recipe import load_training
 from sysid_rl.train.training import train_policy
 
-#: Where joints follow at once: a map from target to joints. Twice its episodes: three minutes of a core.
-TIMES = 2
+#: Where joints follow at once: a map from target to joints.
 RECIPE = Path(__file__).resolve().parents[2] / "rl" / "autolog" / "quick.toml"
-#: A policy of a redundant machine begins in another posture than inverse kinematics, and approaches it at limited speed.
-CHECKS = {"policy": {"share": 1.0}}
 
 
 def policy_deployment(site: Site, plant: Plant, below: Deployment) -> Deployment:
@@ -24,9 +21,6 @@ def policy_deployment(site: Site, plant: Plant, below: Deployment) -> Deployment
 
     The targets are shown to it one response time of the plant ahead, as ``ik-lookahead`` has them.
     """
-    recipe = load_training(RECIPE)
-    learning = replace(recipe.learning, episodes=TIMES * recipe.learning.episodes)
-    recipe = replace(recipe, name="loop-policy", plant=below.plant, forward=below.forward, learning=learning)
+    recipe = replace(load_training(RECIPE), name="loop-policy", plant=below.plant, forward=below.forward)
     trained = train_policy(site.workspace.models, recipe, site.folder / "training")
-    checks = {**below.checks, **CHECKS}
-    return replace(below, policy=trained.version.reference, checks=checks, lookahead=lookahead_time(plant))
+    return replace(below, policy=trained.version.reference, lookahead=lookahead_time(plant))

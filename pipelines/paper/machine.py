@@ -6,7 +6,6 @@ from pathlib import Path
 
 from loop.deployment import WIDE, Deployment
 from loop.flight import Flight, fly
-from loop.policies import CHECKS
 from loop.rounds import path_task
 from paper.rows import MACHINE_MAX, PaperRow
 from simulated_bench.recipe_file import load_recipe
@@ -25,7 +24,7 @@ def deploy(place: Workspace, site: Path, logs: Path, plant: str, forward: str, p
         policy: a version, or ``ik``.
     """
     machine = load_recipe(site / "bench.toml")
-    deployment = Deployment(plant, forward, policy, {**WIDE, **CHECKS, "without": WITHOUT})
+    deployment = Deployment(plant, forward, policy, {**WIDE, "without": WITHOUT})
     flights = {}
     for number, path in enumerate(("helix", "circle")):
         task = path_task(path)

@@ -88,18 +88,16 @@ class Assembly:
 
     @property
     def shaper(self) -> InputShaper | None:
-        """Of the path, if the recipe has one."""
+        """Of the setpoints on the path, if the recipe has one."""
         kind = self.recipe.track.shaper
         if kind == "none":
             return None
         pendulum = pendulum_of(self.loaded.plant)
         return input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
 
-    def aside(self, chain: ControlChain) -> Array:
-        """Ways of the joints (A,) at the start of the path that move the end effector by :data:`ASIDE`; 0 out of the fence."""
-        assert self.tracking is not None
+    def aside(self, chain: ControlChain, joints: Array) -> Array:
+        """Ways (A,) from ``joints`` (A,) that move the end effector by :data:`ASIDE`; 0 for those out of the fence."""
         low, high = self.limits.low, self.limits.high
-        joints = self.tracking.start
         steps = SMALL * (high - low) * np.where(joints > 0.5 * (low + high), -1.0, 1.0)
         ends = chain.tip(np.concatenate([joints[None], joints + np.diag(steps)]))
         ways = np.linalg.norm(ends[1:] - ends[0], axis=1)
@@ -128,7 +126,9 @@ class Assembly:
         """
         self.check_transport(transport)
         axes, loaded, checks = self.machine.axis_names, self.loaded, self.recipe.checks
-        chain = ControlChain(loaded.plant, loaded.forward, self.inverse, policy=self.policy, lookahead=self.lookahead)
+        chain = ControlChain(
+            loaded.plant, loaded.forward, self.inverse, policy=self.policy, lookahead=self.lookahead, shaper=self.shaper
+        )
         estimator = StateEstimator(loaded.plant, self.valves, self.dt, transport.signals, checks)
         inside = TrainingDomains(loaded.forward, loaded.actuators, axes) if checks.on("domain") else lambda estimate: ""
         supervisor = Supervisor(
@@ -148,10 +148,11 @@ class Assembly:
             if track.live_port is not None:
                 return TrackLive(track.live_port, track.live_speed, dt, track.live_s)
             assert self.tracking is not None
+            start = chain.start(self.tracking.path.points[0], self.tracking.start, limits.low, limits.high)
             return TrackPath(
-                self.tracking.path, self.tracking.start, limits, dt,
+                self.tracking.path, start, limits, dt,
                 ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps, shaper=self.shaper,
-                settle_s=track.settle_s, aside=self.aside(chain) if recipe.checks.on("first_move") else None,
+                settle_s=track.settle_s, aside=self.aside(chain, start) if recipe.checks.on("first_move") else None,
             )  # fmt: skip
         if name == "commission":
             return Commission(self.machine, command_filter, recipe.commission)

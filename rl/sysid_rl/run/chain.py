@@ -17,6 +17,7 @@ from sysid.errors import SettingsError
 from sysid.networks.forward import ForwardModel
 from sysid.plant import Plant
 from sysid_rl.control import CylinderController
+from sysid_rl.control.input_shaper import InputShaper, ShapedSetpoints
 from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.control.swing_estimator import SwingEstimator
 from sysid_rl.run.policy_thread import PolicyThread
@@ -27,6 +28,10 @@ from sysid_rl.train.residual_policy import ResidualPolicy
 from sysid_rl.train.task import ObservationSlices
 
 Array = npt.NDArray[np.float64]
+
+#: Steps in which a policy comes to rest, the change of a step that counts as rest, as a share of a joint's range, and the
+#: distance of the end effector from its target there [m].
+REST_STEPS, REST, NEAR = 20, 1e-3, 0.03
 
 
 class SignalPolicy(NamedPolicy, Protocol):
@@ -45,6 +50,7 @@ class ControlChain:
         inverse: inverse kinematics, the fallback of a policy.
         policy: None: inverse kinematics.
         lookahead: of the targets, after the next sample [s].
+        shaper: of the setpoints for targets.
 
     Raises:
         SettingsError: observations or setpoints of the policy do not fit this machine.
@@ -58,6 +64,7 @@ class ControlChain:
         *,
         policy: SignalPolicy | None = None,
         lookahead: float = 0.0,
+        shaper: InputShaper | None = None,
     ) -> None:
         self.plant, self.forward, self.inverse, self.policy, self.lookahead = plant, forward, inverse, policy, lookahead
         self.axes = plant.machine.axis_names
@@ -72,6 +79,9 @@ class ControlChain:
             self._check(policy)
             self._width = len(policy.inputs)
             self.thread = PolicyThread(policy, len(self.axes))
+        self._shaped = None if shaper is None else ShapedSetpoints(shaper, plant.machine.rate_hz, len(self.axes))
+        #: Time for which a setpoint depends on past ones [s].
+        self.shaped_s = 0.0 if shaper is None else shaper.times[-1]
         self._joints: Array | None = None
         self._solved: Array | None = None
         self._swing: SwingEstimator | None = None
@@ -96,6 +106,8 @@ class ControlChain:
         self.controller.reset(drive)
         self.view.rest()
         self._joints, self._solved = joints[None].copy(), None
+        if self._shaped is not None:
+            self._shaped.reset(joints)
         if isinstance(self.policy, ResidualPolicy):
             self.policy.rest()
         if self._swing is not None:
@@ -117,7 +129,7 @@ class ControlChain:
         self._joints = now.copy()
 
     def ask(self, joints: Array, ee: Array, target: Array, until_ns: int, now_ns: Callable[[], int]) -> Array:
-        """Setpoints (A,) of the policy, or of inverse kinematics without one, for a target (3,).
+        """Setpoints (A,) of the policy, or of inverse kinematics without one, for a target (3,), through the shaper.
 
         Args:
             until_ns: deadline of the policy on the clock ``now_ns``.
@@ -126,9 +138,27 @@ class ControlChain:
             PolicyError: no answer by then, or no setpoints.
         """
         if self.thread is None:
-            return self.solve(joints, target)
-        seen = self.view.seen(joints[None], ee[None], target[None], self._below)
-        return self.thread.ask(seen[:, : self._width], until_ns, now_ns)
+            found = self.solve(joints, target)
+        else:
+            seen = self.view.seen(joints[None], ee[None], target[None], self._below)
+            found = self.thread.ask(seen[:, : self._width], until_ns, now_ns)
+        return found if self._shaped is None else self._shaped.step(found[None])[0]
+
+    def start(self, target: Array, joints: Array, low: Array, high: Array) -> Array:
+        """Joints (A,) at which the machine rests at a target (3,): where the policy puts it from ``joints``, within bounds.
+
+        Those are ``joints`` for inverse kinematics, with offsets too, and where the policy does not come to rest near them.
+        """
+        if self.policy is None or isinstance(self.policy, ResidualPolicy):
+            return joints
+        now = joints
+        for _ in range(REST_STEPS):
+            before = now
+            seen = self.view.seen(now[None], self.tip(now[None]), target[None], self._below)
+            now = np.clip(self.policy.act(seen[:, : self._width])[0], low, high)
+        rests = (np.abs(now - before) < REST * (high - low)).all()
+        near = float(np.linalg.norm(self.tip(now[None])[0] - target)) < NEAR
+        return now if rests and near else joints
 
     def cancel_policy(self) -> None:
         """Cancel the policy if it is running."""
@@ -142,8 +172,10 @@ class ControlChain:
         return np.asarray(self._solved[0].copy())
 
     def solve_from(self, setpoints: Array) -> None:
-        """Continue inverse kinematics from ``setpoints`` (A,)."""
+        """Continue inverse kinematics, and the shaper, from ``setpoints`` (A,)."""
         self._solved = setpoints[None].copy()
+        if self._shaped is not None:
+            self._shaped.reset(setpoints)
 
     def commands(self, setpoints: Array, drive: Array) -> tuple[Array, Array]:
         """Drive setpoints and valve commands, (A,) each, for joint setpoints and measured ``drive`` (A,)."""

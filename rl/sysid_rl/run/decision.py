@@ -71,7 +71,7 @@ class Decider:
         self._clock = TaskClock(mode)
         dt = supervisor.dt
         response = dt * max(valve.dead_steps for valve in supervisor.command_filter.valves)
-        self._path = PathDistance(supervisor.checks.path, chain.tip, response + chain.lookahead, dt)
+        self._path = PathDistance(supervisor.checks.path, chain.tip, response + chain.lookahead + chain.shaped_s, dt)
 
     def begin(self, estimate: StateEstimate) -> None:
         """Begin the task with the machine at rest at the estimate."""

@@ -47,7 +47,7 @@ class TrackSettings(Strict):
         laps: number of rounds.
         ease_s: duration of the speed ramps at beginning and end.
         settle_s: time for which the machine rests at the beginning of the path, e.g. until a hanging tool does.
-        shaper: of the path, so that a hanging tool does not swing; at frequency and damping of the plant's ``gripper_sway``.
+        shaper: of the setpoints, so that a hanging tool does not swing; by the plant's ``gripper_sway``.
         live_port: follow targets from datagrams to this loopback port instead.
         live_speed, live_s: greatest speed of such a target [m/s], and duration [s].
     """

@@ -31,7 +31,7 @@ class TrackPath:
         ease_s: duration of the speed ramps.
         laps: number of rounds; an open path is followed forth and back.
         settle_s, aside: of the :class:`~sysid_rl.run.modes.mode.Approach`.
-        shaper: of the targets that the policy observes, against the swing of a hanging tool; its mean delay is compensated.
+        shaper: of the setpoints, against the swing of a hanging tool; its mean delay is compensated.
     """
 
     name, moves, writes, computes = "track", True, True, True
@@ -56,8 +56,8 @@ class TrackPath:
         late = 0 if shaper is None else round(shaper.delay / dt)
         # The target rests during the look-ahead.
         self.points = np.concatenate([np.tile(once[0], (ahead + late, 1)), *rounds])
-        self.aims = self.points if shaper is None else shaper.shaped(self.points, path.rate_hz)
-        self.ahead, self._linger = ahead + late, round(LINGER_S / dt) + len(self.aims) - len(self.points)
+        self.ahead = ahead + late
+        self._linger = round((LINGER_S + (0.0 if shaper is None else shaper.times[-1])) / dt)
         self._approach = Approach(start, limits, dt, settle_s, aside)
 
     def begin(self, joints: Array, ee: Array) -> None:
@@ -71,8 +71,8 @@ class TrackPath:
         last = len(self.points) - 1
         if here > last + self._linger:
             return done("track")
-        aim = self.aims[min(here + 1 + self.ahead, len(self.aims) - 1)]
-        return Goal("track", target=self.points[min(here + 1, last)], aim=aim)
+        target, aim = (self.points[min(here + 1 + ahead, last)] for ahead in (0, self.ahead))
+        return Goal("track", target=target, aim=aim)
 
 
 class TrackLive:
