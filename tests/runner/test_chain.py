@@ -10,17 +10,19 @@ from crane_model import Perfect, crane_plant
 from sysid.machine import KnownEffect
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.policy import PolicyNetwork
+from sysid_rl.control.input_shaper import InputShaper
 from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.run.chain import ControlChain
 from sysid_rl.train.driven import DrivenEnvironment
 from sysid_rl.train.inverse_kinematics import InverseKinematics, chain_of_plant
 from sysid_rl.train.residual_observation import Residual, ResidualObservation
 from sysid_rl.train.residual_policy import ResidualPolicy
-from sysid_rl.train.task import Task
+from sysid_rl.train.task import ObservationSlices, Task
 
 Array = npt.NDArray[np.float64]
 PLANT = crane_plant(KnownEffect("gripper_sway", "tool", {"length": 0.22, "damping_ratio": 0.04}))
 FORWARD = Perfect(PLANT)
+AXES = PLANT.machine.axis_names
 
 
 class Still:
@@ -86,3 +88,53 @@ def test_a_policy_that_offsets_inverse_kinematics_runs_with_the_estimated_swing(
             seen, _, _ = environment.step(np.array([[0.3 if k < 60 else 0.0, 0.5, -1.2, 0.1]]))
             chain.moved(seen[0, :4], environment.commands[0])
         assert largest > 0.003, "the swing offsets the setpoints"
+
+
+class Resting:
+    """A policy that leads to ``joints``, by half of the way a step, or turns about them."""
+
+    def __init__(self, joints: Array, turns: bool = False) -> None:
+        self.joints, self.turns, self.inputs, self.outputs = joints, turns, ObservationSlices.of(4).names(AXES), FORWARD.joints
+
+    def act(self, observations: Array) -> Array:
+        away = observations[:, :4] - self.joints
+        return np.asarray(self.joints + (-1.0 if self.turns else 0.5) * away)
+
+
+def test_a_path_begins_where_the_policy_rests() -> None:
+    inverse = InverseKinematics.of(chain_of_plant(PLANT), FORWARD.low, FORWARD.high)
+    begin = np.array([0.0, 0.4, -1.2, 0.1])
+    other, far = begin + np.array([0.01, 0.0, 0.02, -0.01]), begin + np.array([0.5, 0.0, 0.0, 0.0])
+    target = FORWARD.predict(begin[None])[0]
+
+    def start(policy: Resting | None) -> Array:
+        chain = ControlChain(PLANT, FORWARD, inverse, policy=policy)
+        return chain.start(target, begin, FORWARD.low, FORWARD.high)
+
+    np.testing.assert_allclose(start(Resting(other)), other, atol=1e-4)
+    for policy in (None, Resting(other, turns=True), Resting(far)):  # a policy that does not rest, or not near the target
+        np.testing.assert_array_equal(start(policy), begin)
+
+
+def test_setpoints_of_a_policy_go_through_the_shaper_and_setpoints_of_a_task_do_not() -> None:
+    inverse = InverseKinematics.of(chain_of_plant(PLANT), FORWARD.low, FORWARD.high)
+    shaper, begin = InputShaper((0.0, 0.1), (0.6, 0.4)), np.array([0.0, 0.4, -1.2, 0.1])
+    goal = begin + 0.01
+    chain = ControlChain(PLANT, FORWARD, inverse, policy=Constant(goal), shaper=shaper)
+    ee, target = FORWARD.predict(begin[None])[0], FORWARD.predict(goal[None])[0]
+    for starts in (lambda: chain.rest(chain.controller.drive(begin)[0], begin), lambda: chain.solve_from(begin)):
+        starts()
+        asked = np.array([chain.ask(begin, ee, target, 2**62, lambda: 0) for _ in range(12)])
+        shares = (asked - begin) / (goal - begin)
+        np.testing.assert_allclose(shares, np.repeat([[0.6], [1.0]], [10, 2], axis=0) * np.ones(4), atol=1e-9)
+    assert chain.shaped_s == 0.1
+
+
+class Constant:
+    """The same setpoints whatever it observes."""
+
+    def __init__(self, joints: Array) -> None:
+        self.joints, self.inputs, self.outputs = joints, ObservationSlices.of(4).names(AXES), FORWARD.joints
+
+    def act(self, observations: Array) -> Array:
+        return self.joints[None].copy()

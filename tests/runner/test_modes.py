@@ -20,7 +20,7 @@ from sysid_rl.control.swing_estimator import SwingEstimator
 from sysid_rl.run.command_filter import CommandFilter, outside
 from sysid_rl.run.limits import AxisLimits, Limits, LimitSettings, limits_of
 from sysid_rl.run.modes.collect import Collect, SafeMoves, draw_poses
-from sysid_rl.run.modes.mode import Move
+from sysid_rl.run.modes.mode import Approach, Move
 from sysid_rl.run.modes.replay import ReplayCommands, ReplayJoints, of_experiment, of_file
 from sysid_rl.run.modes.track import TrackLive, TrackPath
 from sysid_rl.run.valves import axis_valves
@@ -59,6 +59,21 @@ def test_an_eased_path_has_the_same_points_and_starts_from_rest() -> None:
     assert steps[0] < 0.01 * steps.max()
     assert steps.max() * 100.0 == pytest.approx(path.speed, rel=1e-3)
     assert eased(Course("dot", 100.0, points[:3]), 1.0).shape == (3, 3)
+
+
+def test_an_approach_moves_each_axis_forth_and_back_that_has_no_way() -> None:
+    aside, to = np.array([0.05, 0.04, -0.06, 0.02]), MIDDLE + np.array([0.3, 0.0, 0.01, 0.0])
+    approach = Approach(to, LIMITS, DT, settle_s=1.0, aside=aside)
+    approach.begin(MIDDLE)
+    way = np.array([approach.goal(k).joints for k in range(approach.steps)])
+    np.testing.assert_allclose(way[-100:], np.tile(to, (100, 1)), atol=1e-12)
+    reached = np.abs(way - to).max(axis=0)
+    np.testing.assert_allclose(reached[[1, 3]], np.abs(aside[[1, 3]]), atol=1e-6)
+    assert reached[2] == pytest.approx(0.06, abs=1e-6), "its way is shorter"
+    assert (np.diff(way[:, 0]) >= -1e-12).all(), "an axis with a way of its own does not turn"
+    straight = Approach(to, LIMITS, DT)
+    straight.begin(MIDDLE)
+    assert straight.steps < approach.steps - 50
 
 
 @pytest.mark.parametrize("kind", ["zv", "zvd"])

@@ -8,9 +8,10 @@ from runner_case import DT, MIDDLE, PLANT, case, true_crane
 from test_loop import AT, tracking
 
 from sysid.machine import KnownEffect
-from sysid.plant import Plant
+from sysid.plant import Plant, PlantNumber, Uncertainty
 from sysid_rl.control import tune
 from sysid_rl.run import faults as f
+from sysid_rl.run.checks.settings import BOUNDS, CheckSettings, DelayCheck, MotionCheck
 from sysid_rl.run.faults import Injection
 from sysid_rl.run.response import ResponseMonitor
 from sysid_rl.run.response_range import Tolerance
@@ -48,6 +49,18 @@ def test_a_late_answer_is_found_and_measured(late: int) -> None:
 @pytest.mark.parametrize(("gain", "band"), [(1.0, 0.0), (0.75, 0.0), (1.3, 0.0), (1.0, 0.1), (0.85, 0.06)])
 def test_gain_and_dead_band_are_no_delay(late: int, gain: float, band: float) -> None:
     assert not any(answers(late, gain, band))
+
+
+def test_the_tolerance_is_that_of_the_recipe_and_of_what_the_plant_knows() -> None:
+    settings = CheckSettings(delay=DelayCheck(after_s=0.1), motion=MotionCheck(wider=0.2))
+    assert Tolerance.of(PLANT, settings) == Tolerance(0.1, 0.2)
+    plant = PLANT.with_effect(KnownEffect("input_delay", "boom", {"delay": 0.05}))
+    places = (PlantNumber("input_delay", "boom", None, "delay"), PlantNumber("valve_deadband", "slew", None, "positive"))
+    known = plant.with_uncertainty(Uncertainty(places, np.diag([0.01**2, 0.02**2])))
+    found = Tolerance.of(known, settings)
+    assert (found.delay_s, found.wider) == pytest.approx((0.13, 0.26))
+    certain = Tolerance.of(plant.with_uncertainty(Uncertainty(places, np.diag([1.0, 1.0]))), settings)
+    assert (certain.delay_s, certain.wider) == (BOUNDS["delay.after_s"].most, BOUNDS["motion.wider"].most)
 
 
 def test_readings_that_do_not_come_are_no_delay() -> None:

@@ -159,8 +159,8 @@ class FirstMove:
         axes = np.arange(len(self.axes))
         turn, speed = axes == self._turn, np.abs(self.range.speed) * self._at_tip
         side = (wanted < 0.0).astype(int)
-        stands = ~self.released & (self.answered | turn) & (self._by_valves(wanted) != 0.0) & (speed < START)
-        self._raised[side, axes] = np.minimum(self._raised[side, axes] + stands * self._rate * self.dt, self.range.wider)
+        at_rest = ~self.released & (self.answered | turn) & (self._by_valves(wanted) != 0.0) & (speed < START)
+        self._raised[side, axes] = np.minimum(self._raised[side, axes] + at_rest * self._rate * self.dt, self.range.wider)
         more = wanted + np.where(self.released, 0.0, np.sign(wanted) * self._raised[side, axes])
         rises = (np.abs(more) > self._most) & (speed < self._speeds)
         self._most = np.where(

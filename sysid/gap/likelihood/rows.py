@@ -290,8 +290,8 @@ def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array
         if width < 3 or not bins:
             count += int((~np.isnan(residual)).sum())
             continue
-        parts = (residual / floor)[: bins * width].reshape(bins, width, -1)
-        parts = np.moveaxis(parts, 1, 2).reshape(-1, width)
+        parts: Array = (residual / floor)[: bins * width].reshape(bins, width, -1)
+        parts: Array = np.moveaxis(parts, 1, 2).reshape(-1, width)
         parts = parts[~np.isnan(parts).any(axis=1)]
         degrees = min(3, width - 1)
         motion = np.vander(np.linspace(-1.0, 1.0, width), degrees)
