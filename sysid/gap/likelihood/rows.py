@@ -291,7 +291,7 @@ def averaged_out(problem: Problem, recordings: Sequence[Recording], theta: Array
             count += int((~np.isnan(residual)).sum())
             continue
         parts: Array = (residual / floor)[: bins * width].reshape(bins, width, -1)
-        parts: Array = np.moveaxis(parts, 1, 2).reshape(-1, width)
+        parts = np.moveaxis(parts, 1, 2).reshape(-1, width)
         parts = parts[~np.isnan(parts).any(axis=1)]
         degrees = min(3, width - 1)
         motion = np.vander(np.linspace(-1.0, 1.0, width), degrees)
