@@ -24,7 +24,7 @@ def deploy(place: Workspace, site: Path, logs: Path, plant: str, forward: str, p
         policy: a version, or ``ik``.
     """
     machine = load_recipe(site / "bench.toml")
-    deployment = Deployment(plant, forward, policy, {**WIDE, "without": WITHOUT})
+    deployment = Deployment(plant, forward, policy, {**WIDE, "policy": {"share": 1.0}, "without": WITHOUT})
     flights = {}
     for number, path in enumerate(("helix", "circle")):
         task = path_task(path)

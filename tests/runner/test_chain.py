@@ -10,9 +10,12 @@ from crane_model import Perfect, crane_plant
 from sysid.machine import KnownEffect
 from sysid.networks.mlp import Mlp, Normalisation
 from sysid.networks.policy import PolicyNetwork
+from sysid_rl.control import tune
 from sysid_rl.control.input_shaper import InputShaper
 from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.run.chain import ControlChain
+from sysid_rl.run.limits import LimitSettings, limits_of
+from sysid_rl.run.valves import axis_valves
 from sysid_rl.train.driven import DrivenEnvironment
 from sysid_rl.train.inverse_kinematics import InverseKinematics, chain_of_plant
 from sysid_rl.train.residual_observation import Residual, ResidualObservation
@@ -104,12 +107,13 @@ class Resting:
 def test_a_path_begins_where_the_policy_rests() -> None:
     inverse = InverseKinematics.of(chain_of_plant(PLANT), FORWARD.low, FORWARD.high)
     begin = np.array([0.0, 0.4, -1.2, 0.1])
+    limits = limits_of(PLANT, axis_valves(tune(PLANT), 0.01), LimitSettings(), "test")
     other, far = begin + np.array([0.01, 0.0, 0.02, -0.01]), begin + np.array([0.5, 0.0, 0.0, 0.0])
     target = FORWARD.predict(begin[None])[0]
 
     def start(policy: Resting | None) -> Array:
         chain = ControlChain(PLANT, FORWARD, inverse, policy=policy)
-        return chain.start(target, begin, FORWARD.low, FORWARD.high)
+        return chain.start(target, begin, limits, 0.03)
 
     np.testing.assert_allclose(start(Resting(other)), other, atol=1e-4)
     for policy in (None, Resting(other, turns=True), Resting(far)):  # a policy that does not rest, or not near the target

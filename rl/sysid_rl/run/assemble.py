@@ -148,7 +148,7 @@ class Assembly:
             if track.live_port is not None:
                 return TrackLive(track.live_port, track.live_speed, dt, track.live_s)
             assert self.tracking is not None
-            start = chain.start(self.tracking.path.points[0], self.tracking.start, limits.low, limits.high)
+            start = chain.start(self.tracking.path.points[0], self.tracking.start, limits, recipe.checks.path.distance)
             return TrackPath(
                 self.tracking.path, start, limits, dt,
                 ahead=chain.ahead, ease_s=track.ease_s, laps=track.laps, shaper=self.shaper,

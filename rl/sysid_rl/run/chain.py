@@ -20,6 +20,7 @@ from sysid_rl.control import CylinderController
 from sysid_rl.control.input_shaper import InputShaper, ShapedSetpoints
 from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.control.swing_estimator import SwingEstimator
+from sysid_rl.run.limits import Limits
 from sysid_rl.run.policy_thread import PolicyThread
 from sysid_rl.train.environment import NamedPolicy
 from sysid_rl.train.inverse_kinematics import InverseKinematics
@@ -29,9 +30,8 @@ from sysid_rl.train.task import ObservationSlices
 
 Array = npt.NDArray[np.float64]
 
-#: Steps in which a policy comes to rest, the change of a step that counts as rest, as a share of a joint's range, and the
-#: distance of the end effector from its target there [m].
-REST_STEPS, REST, NEAR = 20, 1e-3, 0.03
+#: Steps in which a policy comes to rest, and the change of a step that counts as rest, as a share of a joint's range.
+REST_STEPS, REST = 20, 1e-3
 
 
 class SignalPolicy(NamedPolicy, Protocol):
@@ -144,21 +144,21 @@ class ControlChain:
             found = self.thread.ask(seen[:, : self._width], until_ns, now_ns)
         return found if self._shaped is None else self._shaped.step(found[None])[0]
 
-    def start(self, target: Array, joints: Array, low: Array, high: Array) -> Array:
-        """Joints (A,) at which the machine rests at a target (3,): where the policy puts it from ``joints``, within bounds.
+    def start(self, target: Array, joints: Array, limits: Limits, near: float) -> Array:
+        """Joints (A,) at which the machine rests at a target (3,): where the policy puts it from ``joints``.
 
-        Those are ``joints`` for inverse kinematics, with offsets too, and where the policy does not come to rest near them.
+        Those are ``joints`` for inverse kinematics, with offsets too, and where the policy does not come to rest within
+        ``near`` [m] of the target.
         """
         if self.policy is None or isinstance(self.policy, ResidualPolicy):
             return joints
-        now = joints
+        low, high, now = limits.low, limits.high, joints
         for _ in range(REST_STEPS):
             before = now
             seen = self.view.seen(now[None], self.tip(now[None]), target[None], self._below)
             now = np.clip(self.policy.act(seen[:, : self._width])[0], low, high)
         rests = (np.abs(now - before) < REST * (high - low)).all()
-        near = float(np.linalg.norm(self.tip(now[None])[0] - target)) < NEAR
-        return now if rests and near else joints
+        return now if rests and float(np.linalg.norm(self.tip(now[None])[0] - target)) < near else joints
 
     def cancel_policy(self) -> None:
         """Cancel the policy if it is running."""
