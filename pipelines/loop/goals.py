@@ -27,6 +27,7 @@ def goals(machines: Sequence[Machine]) -> str:
     truth = [value / max(_other(machine, "truth")) for value, machine in zip(after, machines, strict=True)]
     policy = [max(_other(machine, "policy_repaired")) for machine in machines]
     trained = [value / max(_other(machine, "policy_truth")) for value, machine in zip(policy, machines, strict=True)]
+    kinematic = [value / other for value, other in zip(policy, after, strict=True)]
     between = [_to_second(machine) for machine in machines]
     rows = [
         (
@@ -39,6 +40,7 @@ def goals(machines: Sequence[Machine]) -> str:
         _row("beside the repaired simulation", f"≤ {BESIDE_SIMULATION}", simulated, "{:.2f}", BESIDE_SIMULATION),
         _row("beside the controller of the true plant", f"≤ {BESIDE_TRUTH}", truth, "{:.2f}", BESIDE_TRUTH),
         _row("trained policy, largest coordinate", f"≤ {AFTER_MM:.0f} mm", policy, "{:.1f} mm", AFTER_MM),
+        _row("beside inverse kinematics with the same plant", "≤ 1", kinematic, "{:.2f}", 1.0),
         _row("beside a policy trained for the true plant", f"≤ {BESIDE_TRUTH}", trained, "{:.2f}", BESIDE_TRUTH),
         _named(machines),
         *(
@@ -92,8 +94,8 @@ def _other(machine: Machine, name: str) -> Sequence[float]:
 
 
 def _max_mm(figures: Mapping[str, Any]) -> Sequence[float]:
-    """Largest error of each coordinate on the helix [mm]; empty for a path that the runner refused."""
-    values: Sequence[float] = figures["helix"].get("max_mm", ())
+    """Largest error of each coordinate on the helix [mm]; empty for a path that the runner refused, or did not end."""
+    values: Sequence[float] = figures["helix"]["max_mm"] if figures["helix"]["ended"] == "done" else ()
     return values
 
 

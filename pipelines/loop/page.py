@@ -45,7 +45,8 @@ def _controllers(machines: Sequence[Mapping[str, Any]]) -> dict[str, list[Mappin
 
 
 def _worst(row: Mapping[str, Any]) -> str:
-    return "path refused" if row["helix"]["ended"] == "refused" else shown(row["helix"].get("max_mm"))
+    ended = row["helix"]["ended"]
+    return shown(row["helix"]["max_mm"]) if ended == "done" else "path refused" if ended == "refused" else "stopped by a check"
 
 
 def rounds_table(machines: Sequence[Mapping[str, Any]]) -> str:
@@ -92,8 +93,9 @@ def _compared(machines: Sequence[Mapping[str, Any]]) -> str:
     for number, machine in enumerate(machines):
         for name, found in _controllers(machines).items():
             helix = found[number]["helix"]
-            refused = helix["ended"] == "refused"
-            figures = (f"refused: {helix['why']}", "–") if refused else [shown(helix.get(key)) for key in ("max_mm", "rmse_mm")]
+            done = helix["ended"] == "done"
+            why = f"{helix['ended']}: {helix.get('why', '')}"
+            figures = [shown(helix[key]) for key in ("max_mm", "rmse_mm")] if done else [why, "–"]
             rows.append((machine["name"], name, *figures))
     return markdown(head, rows, "llll")
 
