@@ -16,7 +16,7 @@ from sysid.plant import Plant
 from sysid_rl.control import tune
 from sysid_rl.run import faults as f
 from sysid_rl.run.chain import ControlChain
-from sysid_rl.run.checks.settings import CheckSettings, MotionCheck
+from sysid_rl.run.checks.settings import CheckSettings, MotionCheck, PathCheck
 from sysid_rl.run.faults import Fault, Injection
 from sysid_rl.run.limits import Limits
 from sysid_rl.run.modes.commission import Commission, CommissionSettings
@@ -46,7 +46,8 @@ def alone(axis: int) -> Callable[[Limits, ControlChain], Mode]:
 def moved(
     mode: Callable[[Limits, ControlChain], Mode], *faults: Fault, true: Plant = PLANT, seed: int = 0, wider: float = 0.0
 ) -> Case:
-    plan, checks = [Injection(fault, 0.0) for fault in faults], CheckSettings(motion=MotionCheck(wider=wider))
+    plan, off_path = [Injection(fault, 0.0) for fault in faults], PathCheck(distance=0.1 if wider else 0.03)
+    checks = CheckSettings(motion=MotionCheck(wider=wider), path=off_path)
     made = case(
         mode, true=true, plan=plan, seed=seed, checks=checks,
         first_move=True, settle_s=0.5, ready_within_s=2.0, seconds=25.0,

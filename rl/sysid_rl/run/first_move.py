@@ -5,6 +5,8 @@ steps:
 
 1. its reading alone moves, to the side of its command. The axes take turns; valves of axes that have not answered are neutral.
 2. its response excludes a gain beyond :data:`sysid_rl.run.response.OTHER_GAINS`, whatever its dead-band. Then it is released.
+   Where dead-bands may be wider by more than :data:`BAND`, it is released after :data:`SEEN`: slow commands, which exceed a
+   dead-band by less than is known of it, show no gain.
 
 Until then an axis moves the end effector at about ``checks.first_move.speed``, by commands that rise slowly. Where dead-bands
 may be wider than the plant's (``checks.motion.wider``), the command of an axis that stands rises by that too. The task waits:
@@ -51,6 +53,8 @@ EXTRA_BAND = 0.15
 ANSWER, COMPARED, SILENT, ENOUGH = 0.002, 0.005, 0.018, 0.05
 #: A reading stands below this share of the motion by the plant; another one moves above this share of the own one.
 STILL, CROSS = 0.15, 0.3
+#: Motion of a stroke at the end effector after which an axis is released whose gain cannot be compared [m].
+SEEN = 0.02
 #: Standard errors by which a reading must change to count as motion, and the least change as time at top speed [s].
 SIGMAS, LEAST_S = 5.0, 0.003
 #: Time from the speed of the first move to the full one, and from there to rest [s].
@@ -303,7 +307,10 @@ class FirstMove:
 
     def _gain(self, i: int) -> Violation | None:
         """The violation of an axis that has answered, if its gain is not that of its plant; released if it is."""
-        if self._onset[i] > 0 and self._onset[i] % EVERY == 0:
+        if self.range.wider > BAND:
+            if abs(float(self.range.measured[i] - self._rest[i])) * self._at_tip[i] > SEEN:
+                self.released[i], self.released_s[i] = True, self.elapsed_s
+        elif self._onset[i] > 0 and self._onset[i] % EVERY == 0:
             odds, gain = self.gains.odds(i, int(self._onset[i]))
             self._other_gain[i] = self._other_gain[i] + 1 if odds < -ODDS else 0
             if self._other_gain[i] >= REPEATS:
