@@ -111,7 +111,7 @@ def test_runs_on_the_bench_repeat_and_are_recordings(loop: Any, site: Any, tmp_p
     from loop.flight import SIGNALS, fly
     from loop.recording import ingest_flights
 
-    deployment, models = site.deployment(site.nominal()), site.workspace.models
+    deployment, models = site.deployment(site.nominal(), identified=False), site.workspace.models
     time = np.arange(0.0, 3.0, 0.01)
     parked = np.array([site.machine.visible.axis(name).park for name in AXES])
     joints = parked + np.outer(0.5 - 0.5 * np.cos(2.0 * np.pi * time / 3.0), [0.2, 0.1, 0.1, 0.03])
@@ -138,7 +138,7 @@ def test_the_hidden_errors_are_those_of_the_tool(loop: Any, site: Any) -> None:
     """The described machine follows within millimetres; the sealed one does not."""
     from loop.flight import fly
 
-    deployment, models = site.deployment(site.nominal()), site.workspace.models
+    deployment, models = site.deployment(site.nominal(), identified=False), site.workspace.models
     task = {"mode": "track", "track": {"path": "circle"}}
     worst = {}
     for name in ("visible", "real"):
