@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import itertools
 import socket
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import pytest
 from runner_case import DT, MIDDLE, PLANT, Quick, case
@@ -17,6 +21,7 @@ from sysid_rl.control import tune
 from sysid_rl.control.input_shaper import ShapedSetpoints, ShaperKind, input_shaper
 from sysid_rl.control.pendulum import Pendulum
 from sysid_rl.control.swing_estimator import SwingEstimator
+from sysid_rl.run.assemble import Assembly
 from sysid_rl.run.command_filter import CommandFilter, outside
 from sysid_rl.run.limits import AxisLimits, Limits, LimitSettings, limits_of
 from sysid_rl.run.modes.collect import Collect, SafeMoves, draw_poses
@@ -27,6 +32,7 @@ from sysid_rl.run.valves import axis_valves
 from sysid_rl.train.paths import Path as Course
 from sysid_rl.train.paths import circle, eased
 
+Array = npt.NDArray[np.float64]
 VALVES = axis_valves(tune(PLANT), DT)
 TIP = Quick(PLANT).predict
 EE = TIP(MIDDLE)[0]
@@ -74,6 +80,24 @@ def test_an_approach_moves_each_axis_forth_and_back_that_has_no_way() -> None:
     straight = Approach(to, LIMITS, DT)
     straight.begin(MIDDLE)
     assert straight.steps < approach.steps - 50
+
+
+def test_what_an_axis_moves_aside_moves_the_tip_and_stays_in_the_fence() -> None:
+    chain: Any = SimpleNamespace(tip=TIP)
+    here = TIP(MIDDLE[None])[0]
+
+    def aside(low: npt.ArrayLike, high: npt.ArrayLike) -> Array:
+        limits = replace(LIMITS, fence_low=np.asarray(low), fence_high=np.asarray(high))
+        return Assembly.aside(cast("Assembly", SimpleNamespace(limits=limits)), chain, MIDDLE)
+
+    free = aside(np.full(3, -np.inf), np.full(3, np.inf))
+    ways = np.linalg.norm(TIP(MIDDLE + np.diag(free)) - here, axis=1)
+    assert (np.abs(free) <= 0.1 * (LIMITS.high - LIMITS.low) + 1e-12).all()
+    np.testing.assert_allclose(ways[np.abs(free) < 0.0999 * (LIMITS.high - LIMITS.low)], 0.06, rtol=0.1)
+    assert (aside(here - 0.01, here + 0.01) == 0.0).all()
+    ends = TIP(MIDDLE + np.diag(free))
+    first = aside(np.minimum(ends[0], here) - 1e-6, np.maximum(ends[0], here) + 1e-6)
+    assert (first == 0.0).all(), "the first stays inside, but not together with the others"
 
 
 @pytest.mark.parametrize("kind", ["zv", "zvd"])

@@ -16,7 +16,7 @@ from sysid_rl.control import lookahead_time, tune
 from sysid_rl.control.input_shaper import InputShaper, input_shaper
 from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.run.chain import ControlChain, SignalPolicy
-from sysid_rl.run.command_filter import CommandFilter
+from sysid_rl.run.command_filter import CommandFilter, outside
 from sysid_rl.run.cycle import Recorder
 from sysid_rl.run.domain import TrainingDomains
 from sysid_rl.run.limits import Limits, limits_of
@@ -96,15 +96,15 @@ class Assembly:
         return input_shaper(kind, pendulum.frequency, pendulum.damping_ratio)
 
     def aside(self, chain: ControlChain, joints: Array) -> Array:
-        """Ways (A,) from ``joints`` (A,) that move the end effector by :data:`ASIDE`; 0 for those out of the fence."""
+        """Ways (A,) from ``joints`` (A,) that move the end effector by :data:`ASIDE`; 0 where they, or all, leave the fence."""
         low, high = self.limits.low, self.limits.high
         steps = SMALL * (high - low) * np.where(joints > 0.5 * (low + high), -1.0, 1.0)
         ends = chain.tip(np.concatenate([joints[None], joints + np.diag(steps)]))
         ways = np.linalg.norm(ends[1:] - ends[0], axis=1)
         aside = steps * np.minimum(ASIDE / np.maximum(ways, 1e-6), MOST_ASIDE / SMALL)
-        ends = chain.tip(joints + np.diag(aside))
-        inside = ((ends >= self.limits.fence_low) & (ends <= self.limits.fence_high)).all(axis=1)
-        return np.where(inside, aside, 0.0)
+        ends = chain.tip(joints + np.concatenate([np.diag(aside), aside[None]]))
+        left = outside(ends, self.limits.fence_low, self.limits.fence_high) > 0.0
+        return np.where(left[:-1] | left[-1], 0.0, aside)
 
     def check_transport(self, transport: Transport) -> None:
         """Raise SettingsError unless a transport has the machine's axes, readings of what commands drive, known signals."""
