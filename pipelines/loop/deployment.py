@@ -11,8 +11,10 @@ from sysid.registry import CHAMPION, Registry, ancestors
 from sysid_rl.run.assemble import Assembly, assemble
 from sysid_rl.run.recipe import KINEMATIC, parse_runner
 
+#: Thresholds of every deployment: the play of an identified plant is not exact.
+USUAL = {"frozen": {"seconds": 0.1}}
 #: Thresholds that a machine passes with a plant that was never identified, whose errors the gap workflow needs.
-WIDE = {"path": {"distance": 0.1}, "motion": {"wider": 0.4}, "delay": {"after_s": 0.2}}
+WIDE = {**USUAL, "path": {"distance": 0.1}, "motion": {"wider": 0.4}, "delay": {"after_s": 0.2}}
 #: Rest before a run, in which the motion capture sees the parked machine [s].
 REST_S = 3.0
 
@@ -22,7 +24,7 @@ class Deployment:
     """Versions of the registry; ``policy`` is one of them, or inverse kinematics.
 
     Args:
-        checks: changed thresholds, as in ``[checks]`` of a runner recipe; none for a plant that was identified.
+        checks: changed thresholds, as in ``[checks]`` of a runner recipe; those of a plant that was identified are the default.
         shaper: of a path, against the swing of the tool.
         lookahead: of the targets [s]; None: the runner's default, none for a policy.
     """
@@ -30,7 +32,7 @@ class Deployment:
     plant: str
     forward: str
     policy: str = "ik-lookahead"
-    checks: Mapping[str, Any] = field(default_factory=dict)
+    checks: Mapping[str, Any] = field(default_factory=lambda: USUAL)
     lookahead: float | None = None
     shaper: str = "none"
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from loop.deployment import WIDE, Deployment
+from loop.deployment import USUAL, WIDE, Deployment
 from loop.flight import SIGNALS, Flight, fly, simulate
 from loop.models import named_part, register_forward, register_plant
 from loop.recording import ingest_flights
@@ -100,7 +100,7 @@ class Site:
         """
         shaper = "none" if plant.effect("gripper_sway", "tool") is None else "zv"
         forward = register_forward(self.workspace.models, plant)
-        return Deployment(plant.reference, forward, checks={} if identified else WIDE, shaper=shaper)
+        return Deployment(plant.reference, forward, checks=USUAL if identified else WIDE, shaper=shaper)
 
     def fly(self, deployment: Deployment, task: Mapping[str, Any], logs: Path | None = None) -> Flight:
         """A run on the machine, with its recording below ``logs``, by default the folder that is ingested."""

@@ -5,7 +5,8 @@ commands through the plant's valve after its dead time, τ the delay beyond that
 needs no stamp, and may have begun within the window: τ = 0 until :data:`SINCE_S` ago. Free parameters are the position c, the
 gain g within :data:`GAINS`, and the difference of the dead-bands from the plant's.
 
-An axis is late if every τ up to half of the accepted delay leaves an error above :data:`LEAST_S` at top speed, and a τ of at
+An axis is late if every τ up to half of the accepted delay leaves an error above :data:`LEAST_S` at top speed and half of the
+play, and a τ of at
 least the accepted delay leaves at most :data:`SHARE` of it, :data:`REPEATS` times in a row.
 """
 
@@ -88,6 +89,8 @@ class ResponseMonitor:
         self._hits = np.zeros(axes, dtype=int)
         self._valves = ValveArray(valves)
         self.fastest = self._valves.fastest
+        #: Smallest unexplained error of an axis, (A,): a reversal of play leaves up to half of it.
+        self._least = LEAST_S * self.fastest + 0.5 * np.array([valve.backlash for valve in valves])
         #: Travel forwards and backwards by the commands, (2, bands, A, cycles), the newest last.
         self._travel = np.zeros((2, len(self.bands), axes, self._window + longest))
         #: Speeds within the dead time, (2, bands, A, cycles), the newest first.
@@ -149,13 +152,13 @@ class ResponseMonitor:
     def _compare(self, i: int) -> LateAxis | None:
         measured, travel = self._measured[i, self._samples], self._travel[:, :, i]
         own = np.isfinite(measured)
-        if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < LEAST_S * self.fastest[i]:
+        if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < self._least[i]:
             self._hits[i] = 0
             return None
         both = _sums(travel)
         turns = self._columns[:, own]
         usual = float(_errors(measured[own], both[:, turns[: self.usual]]).min()) / self.fastest[i]
-        if usual <= LEAST_S:
+        if usual * self.fastest[i] <= self._least[i]:
             self._hits[i] = 0
             return None
         both = _sums(travel[:, ::COARSE])
