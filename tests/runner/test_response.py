@@ -21,13 +21,31 @@ VALVES = axis_valves(tune(PLANT), DT)
 LATE = f.Delayed(0.2, stamped=False)
 
 
-def answers(late: int, gain: float = 1.0, band: float = 0.0, seconds: float = 6.0) -> list[float]:
-    """Seconds of delay found each cycle, 0 where none is, on axes that go to and fro and answer ``late`` cycles late."""
-    response, rng = ResponseMonitor(VALVES, DT, Tolerance()), np.random.default_rng(0)
-    drive, past, found = np.zeros(4), [np.zeros(4)] * 100, []
+def answers(
+    late: int,
+    gain: float = 1.0,
+    band: float = 0.0,
+    seconds: float = 6.0,
+    play: float = 0.0,
+    known: bool = True,
+    size: float = 0.5,
+) -> list[float]:
+    """Seconds of delay found each cycle, 0 where none is, on axes that go to and fro and answer ``late`` cycles late.
+
+    Args:
+        play: at top speed [s]; ``known``: to the plant.
+        size: of the commands.
+    """
+    valves = axis_valves(tune(PLANT), DT)
+    for valve in valves:
+        valve.backlash = play * valve.fastest if known else 0.0
+    response, rng = ResponseMonitor(valves, DT, Tolerance()), np.random.default_rng(0)
+    drive, read, past, found = np.zeros(4), np.zeros(4), [np.zeros(4)] * 100, []
+    width = 0.5 * play * np.array([valve.fastest for valve in valves])
     for k in range(round(seconds / DT)):
-        command = 0.5 * np.sin(2.0 * np.pi * k * DT / 3.0) * np.ones(4)
-        response.measure(drive + 1e-4 * np.array([5.0, 0.2, 0.2, 0.2]) * rng.standard_normal(4))
+        read = np.clip(read, drive - width, drive + width)
+        command = size * np.sin(2.0 * np.pi * k * DT / 3.0) * np.ones(4)
+        response.measure(read + 1e-4 * np.array([5.0, 0.2, 0.2, 0.2]) * rng.standard_normal(4))
         found.append(max((item.seconds for item in response.late), default=0.0))
         response.step(command)
         past = [*past[1:], command]
@@ -49,6 +67,13 @@ def test_a_late_answer_is_found_and_measured(late: int) -> None:
 @pytest.mark.parametrize(("gain", "band"), [(1.0, 0.0), (0.75, 0.0), (1.3, 0.0), (1.0, 0.1), (0.85, 0.06)])
 def test_gain_and_dead_band_are_no_delay(late: int, gain: float, band: float) -> None:
     assert not any(answers(late, gain, band))
+
+
+@pytest.mark.parametrize(("play", "size"), [(0.08, 0.25), (0.1, 0.35), (0.15, 0.5)])
+def test_play_that_the_plant_knows_is_no_delay(play: float, size: float) -> None:
+    assert not any(answers(0, play=play, size=size))
+    assert any(answers(0, play=play, size=size, known=False)), "play that it does not know is taken for a delay"
+    assert any(answers(32, play=0.01)), "a late answer is found beside it"
 
 
 def test_the_tolerance_is_that_of_the_recipe_and_of_what_the_plant_knows() -> None:

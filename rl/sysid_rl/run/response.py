@@ -5,9 +5,8 @@ commands through the plant's valve after its dead time, τ the delay beyond that
 needs no stamp, and may have begun within the window: τ = 0 until :data:`SINCE_S` ago. Free parameters are the position c, the
 gain g within :data:`GAINS`, and the difference of the dead-bands from the plant's.
 
-An axis is late if every τ up to half of the accepted delay leaves an error above :data:`LEAST_S` at top speed and half of the
-play, and a τ of at
-least the accepted delay leaves at most :data:`SHARE` of it, :data:`REPEATS` times in a row.
+An axis is late if every τ up to half of the accepted delay leaves an error above :data:`LEAST_S` at top speed and half of its
+play, and a τ of at least the accepted delay leaves at most :data:`SHARE` of it, :data:`REPEATS` times in a row.
 """
 
 from __future__ import annotations
