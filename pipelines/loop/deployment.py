@@ -25,7 +25,7 @@ class Deployment:
 
     Args:
         checks: changed thresholds, as in ``[checks]`` of a runner recipe; those of a plant that was identified are the default.
-        shaper: of a path, against the swing of the tool.
+        shaper: of the setpoints on a path, against the swing of the tool.
         lookahead: of the targets [s]; None: the runner's default, none for a policy.
     """
 

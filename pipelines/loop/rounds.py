@@ -93,7 +93,7 @@ class Site:
         return plant_from_files(self.workspace.models.load(reference).files, reference)
 
     def deployment(self, plant: Plant, identified: bool = True) -> Deployment:
-        """Inverse kinematics and the controller of a registered plant, the path shaped against the swing that it has.
+        """Inverse kinematics and the controller of a registered plant, its setpoints shaped against the swing that it has.
 
         Args:
             identified: from logs of the machine; if not, the thresholds of the checks are wide.

@@ -66,13 +66,6 @@ class InputShaper:
             out[whole + 1] += part * amplitude
         return out
 
-    def shaped(self, signal: npt.ArrayLike, rate_hz: float) -> Array:
-        """A whole signal (n, k), which rests before and after, through the shaper: (n + m − 1, k) until it rests again."""
-        values, taps = np.asarray(signal, dtype=np.float64), self.taps(rate_hz)
-        before, after = (np.repeat(row[None], len(taps) - 1, axis=0) for row in (values[0], values[-1]))
-        padded = np.concatenate([before, values, after])
-        return np.column_stack([np.convolve(column, taps, mode="valid") for column in padded.T])
-
 
 def input_shaper(kind: ShaperKind, frequency: float, damping_ratio: float) -> InputShaper:
     """The shaper ``zv`` or ``zvd`` for a mode with natural frequency [rad/s] and damping ratio.

@@ -16,7 +16,7 @@ from sysid_rl.control import lookahead_time, tune
 from sysid_rl.control.input_shaper import InputShaper, input_shaper
 from sysid_rl.control.pendulum import pendulum_of
 from sysid_rl.run.chain import ControlChain, SignalPolicy
-from sysid_rl.run.command_filter import CommandFilter, outside
+from sysid_rl.run.command_filter import CommandFilter, inwards, motion_ratios, outside
 from sysid_rl.run.cycle import Recorder
 from sysid_rl.run.domain import TrainingDomains
 from sysid_rl.run.limits import Limits, limits_of
@@ -43,8 +43,8 @@ Array = npt.NDArray[np.float64]
 
 #: Motion of the end effector by which an axis answers before a path begins [m].
 ASIDE = 0.06
-#: The same as a share of a joint's range, at most, and the share by which motion is evaluated.
-MOST_ASIDE, SMALL = 0.1, 0.01
+#: The same as a share of a joint's range, at most.
+MOST_ASIDE = 0.1
 
 
 @dataclass(frozen=True)
@@ -98,10 +98,8 @@ class Assembly:
     def aside(self, chain: ControlChain, joints: Array) -> Array:
         """Ways (A,) from ``joints`` (A,) that move the end effector by :data:`ASIDE`; 0 where they, or all, leave the fence."""
         low, high = self.limits.low, self.limits.high
-        steps = SMALL * (high - low) * np.where(joints > 0.5 * (low + high), -1.0, 1.0)
-        ends = chain.tip(np.concatenate([joints[None], joints + np.diag(steps)]))
-        ways = np.linalg.norm(ends[1:] - ends[0], axis=1)
-        aside = steps * np.minimum(ASIDE / np.maximum(ways, 1e-6), MOST_ASIDE / SMALL)
+        ways = np.minimum(ASIDE / motion_ratios(chain.tip, joints, low, high), MOST_ASIDE * (high - low))
+        aside = inwards(joints, low, high) * ways
         ends = chain.tip(joints + np.concatenate([np.diag(aside), aside[None]]))
         left = outside(ends, self.limits.fence_low, self.limits.fence_high) > 0.0
         return np.where(left[:-1] | left[-1], 0.0, aside)

@@ -106,9 +106,7 @@ class CommandFilter:
     def tip_ratios(self, drive: Array) -> Array:
         """Motion of the end effector per unit of what is driven at ``drive`` (A,), (A,) [m per m or rad]."""
         low, high = np.array([valve.low for valve in self.valves]), np.array([valve.high for valve in self.valves])
-        steps = 0.01 * (high - low) * np.where(drive > 0.5 * (low + high), -1.0, 1.0)
-        ends = self.tip(self.joints(np.concatenate([drive[None], drive + np.diag(steps)])))
-        return np.asarray(np.maximum(np.linalg.norm(ends[1:] - ends[0], axis=1) / np.abs(steps), 1e-6))
+        return motion_ratios(lambda driven: self.tip(self.joints(driven)), drive, low, high)
 
     def joints(self, driven: Array) -> Array:
         """Joints (n, A) at positions (n, A) of what the commands drive."""
@@ -171,6 +169,18 @@ class CommandFilter:
         exceeded.append(("fence", -1, float(left[0]), 0.0))
         kept = [valve.command(share * float(speed)) for valve, speed in zip(self.valves, speeds, strict=True)]
         return np.array(kept)
+
+
+def inwards(values: Array, low: Array, high: Array) -> Array:
+    """Signs (A,) of the ways from values (A,) to the middle of their range."""
+    return np.where(values > 0.5 * (low + high), -1.0, 1.0)
+
+
+def motion_ratios(tip: Callable[[Array], Array], values: Array, low: Array, high: Array) -> Array:
+    """Motion of ``tip`` (n, 3) of (n, A) per unit of each of the values (A,) within their range, (A,), above zero."""
+    steps = 0.01 * (high - low) * inwards(values, low, high)
+    ends = tip(np.concatenate([values[None], values + np.diag(steps)]))
+    return np.asarray(np.maximum(np.linalg.norm(ends[1:] - ends[0], axis=1) / np.abs(steps), 1e-6))
 
 
 def outside(points: Array, low: Array, high: Array) -> Array:

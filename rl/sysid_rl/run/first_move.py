@@ -159,11 +159,12 @@ class FirstMove:
             return requested
         self.elapsed_s += self.dt
         wanted = np.nan_to_num(requested)
-        self._take_turns(wanted, joints, drive)
+        speeds = self._by_valves(wanted)
+        self._take_turns(np.abs(speeds) * self._at_tip, joints, drive)
         axes = np.arange(len(self.axes))
         turn, speed = axes == self._turn, np.abs(self.range.speed) * self._at_tip
         side = (wanted < 0.0).astype(int)
-        at_rest = ~self.released & (self.answered | turn) & (self._by_valves(wanted) != 0.0) & (speed < START)
+        at_rest = ~self.released & (self.answered | turn) & (speeds != 0.0) & (speed < START)
         self._raised[side, axes] = np.minimum(self._raised[side, axes] + at_rest * self._rate * self.dt, self.range.wider)
         more = wanted + np.where(self.released, 0.0, np.sign(wanted) * self._raised[side, axes])
         rises = (np.abs(more) > self._most) & (speed < self._speeds)
@@ -224,8 +225,9 @@ class FirstMove:
             wrong = wrong or (self._gain(int(i)) if self.answered[i] else self._answer(int(i)))
         return [] if wrong is None else [wrong]
 
-    def _take_turns(self, wanted: Array, joints: Array, drive: Array) -> None:
-        demand = np.where(self.answered, -1.0, np.maximum(np.abs(self._by_valves(wanted)) * self._at_tip, self._lag / LAG_S))
+    def _take_turns(self, speeds: Array, joints: Array, drive: Array) -> None:
+        """Give the next axis its turn, for requested speeds at the end effector (A,)."""
+        demand = np.where(self.answered, -1.0, np.maximum(speeds, self._lag / LAG_S))
         turn = self._turn
         if turn >= 0 and (self.answered[turn] or (demand[turn] < DEMAND and demand.max() > 2.0 * DEMAND)):
             self._turn = turn = -1

@@ -88,8 +88,8 @@ class ResponseMonitor:
         self._hits = np.zeros(axes, dtype=int)
         self._valves = ValveArray(valves)
         self.fastest = self._valves.fastest
-        #: Smallest unexplained error of an axis, (A,): a reversal of play leaves up to half of it.
-        self._least = LEAST_S * self.fastest + 0.5 * np.array([valve.backlash for valve in valves])
+        #: Smallest unexplained error of an axis as time at top speed, (A,) [s]: a reversal of play leaves up to half of it.
+        self._least_s = LEAST_S + 0.5 * np.array([valve.backlash for valve in valves]) / self.fastest
         #: Travel forwards and backwards by the commands, (2, bands, A, cycles), the newest last.
         self._travel = np.zeros((2, len(self.bands), axes, self._window + longest))
         #: Speeds within the dead time, (2, bands, A, cycles), the newest first.
@@ -151,13 +151,13 @@ class ResponseMonitor:
     def _compare(self, i: int) -> LateAxis | None:
         measured, travel = self._measured[i, self._samples], self._travel[:, :, i]
         own = np.isfinite(measured)
-        if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < self._least[i]:
+        if own.mean() < ENOUGH or np.ptp(travel[:, 0], axis=1).max() < self._least_s[i] * self.fastest[i]:
             self._hits[i] = 0
             return None
         both = _sums(travel)
         turns = self._columns[:, own]
         usual = float(_errors(measured[own], both[:, turns[: self.usual]]).min()) / self.fastest[i]
-        if usual * self.fastest[i] <= self._least[i]:
+        if usual <= self._least_s[i]:
             self._hits[i] = 0
             return None
         both = _sums(travel[:, ::COARSE])

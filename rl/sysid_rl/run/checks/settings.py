@@ -41,8 +41,8 @@ class JumpCheck(Strict):
 
 @dataclass(frozen=True)
 class FrozenValueCheck(Strict):
-    """A reading stays the same to the last bit while, by dead reckoning, its axis moved for ``seconds`` at top speed, beyond
-    its play."""
+    """A reading stays the same to the last bit while, by its commands, its axis moved for ``seconds`` at top speed beyond its
+    play."""
 
     reaction: Reaction = "stop"
     seconds: float = 0.02
